@@ -1,22 +1,28 @@
-"""The command line: what it prints, what it stores, and one clear line with exit code 2 for bad input."""
+"""The command line: what it prints and stores, and one clear line for bad input, failures and hostile plug-ins."""
 
 import csv
 import errno
 import json
 import re
+import shutil
+import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image as PillowImage
+from image_folders import fill, numbered
+from plugged_in import forget_loose_files, plugin, see_plugins
 from quick_runs import quick_runs
 from served_files import serving
 from small_plan import RUN, Apart
+from textures import textures
 
 from vprbench.cli import main
+from vprbench.data import fetch
+from vprbench.errors import BadInput
 from vprbench.jobs import executors
 from vprbench.metrics.accuracy import recall_at
-from vprbench.plugins import registry
+from vprbench.plugins import entries, registry
+from vprbench.runs.frame import tabulate_runs
 from vprbench.runs.store import Store
 from vprbench.storage import tensors
 
@@ -170,20 +176,11 @@ def test_the_error_of_a_full_disk_is_shown_and_a_failure_is_recorded_without_the
     assert json.loads(failure.read_text())["error"] == "RuntimeError: ~/photos is strange"
 
 
-def frames(folder, count, size=(16, 12), mode="RGB"):
-    folder.mkdir(parents=True)
-    generator = np.random.default_rng(len(str(folder)))
-    for number in range(count):
-        image = PillowImage.fromarray(generator.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
-        image.convert(mode).save(folder / f"{number}.png")
-    return folder
-
-
 @pytest.mark.parametrize(
     "command", [["method=sad"], ["compare", "methods=sad"], ["doctor"]], ids=lambda words: words[0]
 )
 def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and_read_with_these(command, capsys):
-    asked = frames(Path("drive 1, rain, 7 pm"), 4)
+    asked = textures(Path("drive 1, rain, 7 pm"), 4)
     for value, wanted in ((f"[more,{asked}]", f'["{asked}"]'), (str(asked), f'"{asked}"')):
         line = refused([*command, "dataset=folders", f"dataset.references={value}", "dataset.queries=more"], capsys)
         assert f"'dataset.references={wanted}'" in line
@@ -201,3 +198,148 @@ def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(caps
     runs = {run.key: recall_at(run.outcome, 1).expected for run in Store(Path("results")).runs() if run.method != "sad"}
     (value,) = (float(line["value"]) for line in lines if line["row"] == "random_projection")
     assert (len(runs), value) == (2, pytest.approx(50 * sum(runs.values())))
+
+
+MISSING, WRONG = True, False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "missing"),
+    [
+        (["dataset=nordland"], MISSING),
+        (["dataset=nordland", "dataset.root=/nowhere"], MISSING),
+        (["dataset=folders"], MISSING),
+        (["dataset=folders", "dataset.references=[/nowhere]", "dataset.queries=/nowhere"], MISSING),
+        (["method=cosplace", *QUICK], MISSING),  # weights that may not be fetched
+        (["method=gcl", *QUICK], MISSING),  # weights that no program can fetch
+        (["method.patch=0", *QUICK], WRONG),
+        ([*QUICK, "dataset.places=0"], WRONG),
+        (["method=sda", *QUICK], None),
+    ],
+)
+def test_a_failure_in_a_sweep_says_whether_something_was_missing_and_which_arguments_were_changed(
+    arguments, missing, monkeypatch, capsys
+):
+    monkeypatch.setattr(executors, "run_in_child", Apart())
+    assert main(["-m", "seed=0", *arguments, "output=json"]) == 2
+    if missing is None:  # there is no such method, and nothing is stored
+        assert not Path("results").exists()
+        return
+    (failure,) = Store(Path("results")).failures()
+    told = json.loads(capsys.readouterr().out)
+    assert (failure.missing, told["missing"], told["method"]) == (missing, missing, failure.method)
+    assert {"processor", "threads", "libraries", "time_utc", "memory_bytes"} <= set(failure.environment)
+    assert ("patch" in failure.config["changed"]) == ("method.patch=0" in arguments)
+
+
+def test_the_doctor_exits_with_0_for_sound_frames_and_names_a_damaged_one_at_which_a_run_stops_too(capsys):
+    for name, noise in (("monday", 0), ("friday", 20)):
+        textures(Path(name), 24, noise)
+    drives = ["dataset=folders", "dataset.references=[monday]", "dataset.queries=friday"]
+    assert main(["doctor", *drives]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("folders: monday, friday\n")
+    assert told.rstrip().splitlines()[-1].startswith("nothing is wrong: 0 errors, 0 warnings")
+    frame = Path("friday/7.png")
+    frame.write_bytes(frame.read_bytes()[:-40])
+    assert main(["doctor", *drives, "output=json"]) == 1
+    found = [each for each in json.loads(capsys.readouterr().out) if each["level"] == "error"]
+    assert [(each["check"], "7.png" in each["text"]) for each in found] == [("decoding", True)]
+    frame.write_bytes(b"")
+    assert main(["method=sad", *drives]) == 2
+    assert "7.png" in capsys.readouterr().err
+    assert main(["doctor", "dataset=nordland"]) == 1
+    assert "python -m vprbench fetch nordland" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("empty", "code"), [(False, 0), (True, 1)])
+def test_fetch_exits_with_1_where_frames_that_came_are_not_right(empty, code, tmp_path, monkeypatch, capsys):
+    for folder in ("query", "ref"):
+        fill(tmp_path / folder, numbered(3))
+    (tmp_path / "ground_truth.csv").write_text("query,matching_refs\n0,0\n1,1\n2,2\n")
+    if empty:
+        (tmp_path / "ref" / "1.jpg").write_bytes(b"")
+
+    def fetched(arguments, check):
+        print("\n".join(check("corridor", tmp_path)))
+        return 0
+
+    monkeypatch.setattr(fetch, "fetch_command", fetched)
+    assert main(["fetch", "corridor"]) == code
+    assert ("1 file" in capsys.readouterr().out) == empty
+
+
+@pytest.fixture
+def plugged(tmp_path, monkeypatch):
+    """Plug the hostile methods in, for other processes too; returns where."""
+    names = ("leaving", "silent", "colourful", "rootless", "moving")
+    methods = {name: f"_target_: hostile.{name.capitalize()}" for name in names}
+    plugin(tmp_path / "plugins", "hostile", "hostile", methods)
+    forget_loose_files(monkeypatch)
+    see_plugins(tmp_path / "plugins", monkeypatch)
+    yield tmp_path / "plugins"
+    sys.modules.pop("needy", None)
+
+
+NEEDY = """import numpy as np
+from vprbench.api import DescriptorMethod
+class Needy(DescriptorMethod):
+    def __init__(self):
+        self.weights = np.load("weights.npy")
+    def encode(self, images): return self.weights
+"""
+
+
+def test_a_file_that_a_method_lacks_is_one_line_with_the_traceback_in_the_record_and_with_debug(plugged, capsys):
+    Path("needy.py").write_text(NEEDY)
+    asked = ["method=./needy.py:Needy", *QUICK]
+    assert main(asked) == 1
+    printed = capsys.readouterr().err.splitlines()
+    (line,) = (line for line in printed if line.startswith("vprbench: "))
+    assert [part for part in ("weights.npy", "(needy.py, line 5)", "debug=true") if part not in line] == []
+    (failure,) = Store(Path("results")).failures()
+    assert [*tabulate_runs([failure])["error"]] == [failure.error]
+    last = failure.traceback.splitlines()[-1]
+    assert ("FileNotFoundError" in last, last.strip() in "\n".join(printed[:-1])) == (True, False)
+    assert main([*asked, "debug=true"]) == 1
+    assert last in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("method", "code"),
+    [("leaving", 1), ("silent", 2), ("colourful", 1), ("rootless", 1), ("moving save=net.safetensors", 0)],
+)
+def test_any_error_of_a_method_ends_in_one_line_that_no_terminal_obeys_and_a_changed_folder_moves_nothing(
+    method, code, capsys, plugged
+):
+    assert main([*f"method={method}".split(), *QUICK]) == code
+    printed = capsys.readouterr().err
+    lines = [line for line in printed.splitlines() if line.startswith("vprbench")]
+    assert [line[:10] for line in lines if len(line) > len("vprbench: ")] == ["vprbench: "] * (code > 0)
+    assert "\x1b" not in printed
+    store = Store(plugged.parent / "results")
+    assert (len(list(store.failures())), len(list(store.runs()))) == (code == 1, code == 0)
+    written = {path.name for path in plugged.parent.iterdir()} - {"plugins", "results"}
+    assert written == ({"net.safetensors"} if code == 0 else set())
+
+
+def test_a_name_of_several_plug_ins_is_one_error_that_names_them_and_a_package_without_its_folder_is_named(
+    plugged, capsys
+):
+    others = ("north", "pole"), ("south", "pole"), ("shadow", "sad"), ("leaver", "gone")
+    for package, method in others:
+        plugin(plugged, package, package, {method: "_target_: leaving_at_import.Method"})
+    plugin(plugged, "empty", "empty", {})
+    shutil.rmtree(plugged / "empty_conf")
+    (plugged / "leaving_at_import.py").write_text("raise SystemExit\n")
+    assert [package for package, _ in entries.list_broken_plugins()] == ["empty_conf"]
+    with pytest.raises(BadInput, match="SystemExit"):
+        registry.find_entries("method")["gone"].target()
+    for asked_for, owners in (("pole", "north south"), ("'pole'", "north south"), ("sad", "vprbench shadow")):
+        assert main([f"method={asked_for}", *QUICK]) == 2
+        printed = capsys.readouterr().err
+        assert [owner for owner in owners.split() if owner not in printed] == []
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines if "BROKEN" in line} >= {"pole", "sad", "plug-in"}
+    assert main(["method=hog", *QUICK]) == 0

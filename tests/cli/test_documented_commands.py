@@ -40,8 +40,8 @@ SMALLER = {
     "nordland_64x32": (*PART, "dataset.first_place=0"),
     "vprtempo": ("method.epochs=1", "method.stdp_rate=0.0001"),
     "vprsnn": (
-        *("method.places_per_module=4", "method.n_excitatory=4", "method.epochs=1"),
-        "method.recorded_presentations=8",
+        *("method.places_per_module=4", "method.n_excitatory=4"),
+        *("method.epochs=1", "method.recorded_presentations=8"),
     ),
 }
 NO_WEIGHTS = {name for name, entry in registry.find_entries("method").items() if entry.needs_weights}
@@ -65,12 +65,9 @@ def commands(document):
 def data(tmp_path_factory):
     """The folder /data of the documents, with few little frames in each of its folders."""
     data = tmp_path_factory.mktemp("data")
-    for folder, names in {
-        "nordland": chosen_names(8, PLACES, 1, ".png"),
-        "nordland_64x32": chosen_names(1, PLACES, 10, ".png"),
-    }.items():
-        for season in ("spring", "summer", "fall", "winter"):
-            frames(data / folder / season, names)
+    for season in ("spring", "summer", "fall", "winter"):
+        frames(data / "nordland" / season, chosen_names(8, PLACES, 1, ".png"))
+        frames(data / "nordland_64x32" / season, chosen_names(1, PLACES, 10, ".png"))
     (data / "robotcar").mkdir()
     for folder in ("monday", "tuesday", "friday", "17places/ref", "17places/query"):
         frames(data / folder, [f"{number}.jpg" for number in range(PLACES)])
@@ -95,13 +92,9 @@ def data(tmp_path_factory):
     frames(data / "tokyo247" / "queries", names)
     metres = np.array([[585000.0 + 100 * n for n in range(PLACES)], [4477000.0] * PLACES])
     fields = {"whichSet": "test", "dbImageFns": cells([name.replace("png", "jpg") for name in names]), "utmDb": metres}
-    fields |= {
-        "qImageFns": cells([f"queries/{name}" for name in names]),
-        "utmQ": metres,
-        "numImages": float(PLACES),
-        "numQueries": float(PLACES),
-    }
-    savemat(data / "tokyo247" / "tokyo247.mat", {"dbStruct": fields | {"posDistThr": 25.0, "posDistSqThr": 625.0}})
+    fields |= {"qImageFns": cells([f"queries/{name}" for name in names]), "utmQ": metres, "numImages": float(PLACES)}
+    fields |= {"numQueries": float(PLACES), "posDistThr": 25.0, "posDistSqThr": 625.0}
+    savemat(data / "tokyo247" / "tokyo247.mat", {"dbStruct": fields})
     return data
 
 
@@ -214,9 +207,8 @@ def store_what_others_trained(options):
         if path.suffix == ".pth":
             sizes = {"feature": (1568, 784), "output": (PLACES, 1568)}
             layers = {f"{name}_layer.w.weight": torch.ones(size) for name, size in sizes.items()}
-            torch.save(
-                {"model_0": layers | {f"{name}_layer.thr": torch.zeros(1, n) for name, (n, _) in sizes.items()}}, path
-            )
+            layers |= {f"{name}_layer.thr": torch.zeros(1, n) for name, (n, _) in sizes.items()}
+            torch.save({"model_0": layers}, path)
 
 
 TREE = [

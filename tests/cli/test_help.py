@@ -39,7 +39,8 @@ def helped(capsys, *arguments):
 
 @pytest.mark.parametrize("line", ["", "--version", "list spiking", "compare --help", "__complete v m"])
 def test_nothing_that_is_printed_at_once_imports_pytorch_or_a_plug_in(line):
-    heavy = {"torch", "matplotlib", "optuna", "vprbench.methods", "vprbench.datasets"}
+    heavy = {"torch", "matplotlib", "optuna", "hydra", "omegaconf", "numpy", "pydantic"}
+    heavy |= {"vprbench.methods", "vprbench.datasets"}
     code = "import sys; from vprbench.__main__ import run_command_line as run; "
     code += f"print(run(), [*{heavy} & {{*sys.modules}}])"
     command = [sys.executable, "-c", code, *line.split()]
@@ -90,23 +91,19 @@ def test_help_has_each_option_with_its_default_and_meaning_of_the_yaml_that_it_b
     assert wanted - {"method.seed", "method.device"} <= lines.keys()
 
 
-@pytest.mark.parametrize(
-    ("words", "there", "not_there"),
-    [
+def test_a_list_is_filtered_by_words_tags_and_weights(capsys):
+    for words, there, not_there in (
         ("spiking", {"vprsnn", "vprtempo_tuned"}, {"sad", "synthetic"}),
         ("weights=needed", {"cosplace"}, {"sad"}),
         ("methods gradients", {"hog", "cohog"}, {"sad", "nordland"}),
-    ],
-)
-def test_a_list_is_filtered_by_words_tags_and_weights(words, there, not_there, capsys):
-    names = {each["name"] for each in json.loads(printed(capsys, "list", *words.split(), "output=json"))}
-    assert (there - names, names & not_there) == (set(), set())
-    assert {line.split()[0] for line in printed(capsys, "list", *words.split()).splitlines()} >= there
+    ):
+        names = {each["name"] for each in json.loads(printed(capsys, "list", *words.split(), "output=json"))}
+        assert (there - names, names & not_there) == (set(), set())
+        assert {line.split()[0] for line in printed(capsys, "list", *words.split()).splitlines()} >= there
 
 
-@pytest.mark.parametrize(
-    ("line", "wanted"),
-    [
+def test_the_last_word_is_completed(capsys):
+    for line, wanted in (
         ("tab", ["table"]),
         ("method=sa", ["method=sad", "method=salad", "method=salad_indoor"]),
         *(("-m method=sad,ho", ["method=sad,hog"]), ("table methods=[sad,ho", ["methods=[sad,hog"])),
@@ -114,10 +111,8 @@ def test_a_list_is_filtered_by_words_tags_and_weights(words, there, not_there, c
         ("dataset=folders dataset.ref", ["dataset.references="]),
         *(("timing=qu", ["timing=quick"]), ("doctor dataset=sfu", ["dataset=sfu_mountain"])),
         *(("table stored=", ["stored=true", "stored=false"]), ("search tri", ["trials="]), ("completion z", ["zsh"])),
-    ],
-)
-def test_the_last_word_is_completed(line, wanted, capsys):
-    assert printed(capsys, "__complete", f"vprbench {line}").split() == wanted
+    ):
+        assert printed(capsys, "__complete", f"vprbench {line}").split() == wanted
 
 
 def test_bash_completes_what_stands_behind_an_equals_sign(tmp_path):

@@ -64,21 +64,18 @@ def test_a_yaml_of_ones_own_names_any_class_of_dask_jobqueue_and_workers_bounds_
         assert "#PBS -q night" in (tmp_path / "submitted").read_text()
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
+@pytest.mark.filterwarnings("ignore:unclosed cluster")
+def test_a_system_or_argument_that_is_unknown_is_refused_by_name():
+    for given, words in (
         (["cluster=torque"], "cluster=torque: .*slurm"),
         (["cluster=slurm", "cluster.cores=many"], "cores"),
         (["cluster=slurm", "cluster.core=4"], "SLURMCluster: .*core"),
         (["cluster=slurm", "cluster.memory=lots"], "lots"),
         (["cluster=slurm", "cluster._target_=dask_jobqueue.NoCluster"], "NoCluster"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:unclosed cluster")  # of dask-jobqueue, which has not begun it
-def test_a_system_or_argument_that_is_unknown_is_refused_by_name(given, words):
-    with pytest.raises(BadInput, match=words):
-        start(*given)
-    gc.collect()
+    ):
+        with pytest.raises(BadInput, match=words):
+            start(*given)
+        gc.collect()
 
 
 def test_a_system_that_takes_no_job_is_one_line(tmp_path):

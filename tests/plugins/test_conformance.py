@@ -1,17 +1,22 @@
-"""The conformance suite: every method found keeps the contract, and each rule catches what breaks it."""
+"""The conformance suite: every method and dataset found keeps its rules, and each rule catches what breaks it."""
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from described_images import composed
 from little import Prototypes
 
+from vprbench.api.dataset import Dataset, HeldOut
 from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.images import Images
 from vprbench.api.method import LayerSpikes
 from vprbench.api.neural import NeuralDescriptor
 from vprbench.plugins import registry
-from vprbench.plugins.conformance import check_method
+from vprbench.plugins.conformance import check_dataset, check_method
+from vprbench.plugins.dataset_rules import DATASET_RULES
 from vprbench.plugins.rules import RULES
 
 ENTRIES = registry.find_entries("method")
@@ -123,25 +128,8 @@ def growing(name, choose, added):
     return wrong(name, extend=extend)
 
 
-def write_on(codes, images):
-    for image in images:
-        image[0, 0] = 0
-    return codes
-
-
-def fail_on_black(codes, images):
-    if (codes.max(1) == 0).any():
-        raise ValueError("log of zero")
-    return codes
-
-
 def answer_unfitted(method, codes):
     return np.zeros((len(codes), 20), np.float32) if method._means is None else Pixels.match(method, codes)
-
-
-def count_on(codes):
-    codes += 1
-    return codes
 
 
 BATCH = "a batch gives what its single images give"
@@ -163,31 +151,25 @@ WRONG: dict[str, list[type[Pixels]]] = {
         encoding("EncodesAList", lambda codes, _: list(codes)),
         wrong("FailsToFit", fit=lambda *given: Pixels.missing),
     ],
-    FORGETS: [
-        wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None),
-    ],
+    FORGETS: [wrong("ReturnsNothing", fit=lambda *given: Pixels.fit(*given) and None)],
     "query before fit raises NotFittedError": [wrong("AnswersUnfitted", match=answer_unfitted)],
     "arrays that were given or returned are never modified": [
-        encoding("WritesOnImages", write_on),
-        wrong("WritesOnCodes", match=lambda self, codes: Pixels.match(self, count_on(codes))),
+        encoding("WritesOnImages", lambda codes, images: [image.fill(0) for image in images] and codes),
+        wrong("WritesOnCodes", match=lambda self, codes: Pixels.match(self, np.add(codes, 1, out=codes))),
         Overwrites,
     ],
     REPEATED: [Random],
-    BATCH: [
-        wrong("LooksAtTheBatch", match=lambda self, codes: Pixels.match(self, codes - codes.mean(0))),
-    ],
+    BATCH: [wrong("LooksAtTheBatch", match=lambda self, codes: Pixels.match(self, codes - codes.mean(0)))],
     "scores are finite float32 of shape (n_queries, n_places)": [
-        answering("NotFinite", lambda scores, _: np.where(np.arange(20) == 0, np.float32(np.nan), scores)),
+        answering("NotFinite", lambda scores, _: np.where(np.arange(20) == 0, np.float32(np.nan), scores))
     ],
     "higher scores mean more alike": [answering("Distance", lambda scores, _: -scores)],
-    "black images and images of other sizes are accepted": [encoding("FailsOnBlack", fail_on_black)],
-    STORED: [
-        wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()}),
+    "black images and images of other sizes are accepted": [
+        encoding("FailsOnBlack", lambda codes, _: codes if codes.max(1).all() else {}["log of zero"])
     ],
+    STORED: [wrong("StoresRounded", state=lambda self: {name: a.round() for name, a in Pixels.state(self).items()})],
     GROWN: [growing("ForgetsThePast", lambda _: 0, 9), growing("LearnsNothing", min, -999)],
-    SPIKES: [
-        spiking("SpikesBelowZero", lambda codes: codes - 255),
-    ],
+    SPIKES: [spiking("SpikesBelowZero", lambda codes: codes - 255)],
 }
 
 
@@ -226,16 +208,89 @@ def test_a_method_that_replaces_query_is_refused():
         wrong("OneStep", query=lambda self, images: np.zeros((len(images), 20), np.float32))
 
 
-@pytest.mark.parametrize(
-    ("tuned_on", "state", "named"),
-    [
+def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers():
+    for tuned_on, state, named in (
         ({"places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}}, "kept", ""),
         ({"dataset": "nordlant", "places": "0-9"}, "broken", "nordland"),
         ({"places": "9-0"}, "broken", "9-0"),
         ({}, "broken", "tuned_on"),
+    ):
+        result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "nordland", **tuned_on}}))
+        assert result.state == state
+        assert named in result.reason
+
+
+# Datasets
+
+N = 6
+
+
+def picture(number):
+    return np.random.default_rng(number).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+
+
+def frames(read=picture, word="frame"):
+    return Images(read, [f"{word} {i}" for i in range(N)], stamp=lambda i: b"%d" % i, content=lambda i: b"%d" % i)
+
+
+def right(**changed):
+    """Keeps every rule; `changed` parts replace its own without the checks of the constructor."""
+    truth = tuple(np.array([place]) for place in range(N))
+    protocol = {"protocol": "little", "references": ["day"], "query": "night"}
+    dataset = Dataset("right", frames(), np.arange(N), frames(word="query"), truth, protocol)
+    for name, value in changed.items():
+        object.__setattr__(dataset, name, value)
+    return dataset
+
+
+COUNT = itertools.count()
+
+
+def held_out():
+    own = right()
+    return replace(own, held_out=HeldOut(own.references, own.places, own.queries, own.places, in_map=True))
+
+
+def protocol(**values):
+    return lambda: right(protocol=values)
+
+
+def truth(*places):
+    given = [*places, *([i] for i in range(len(places), N))]
+    return lambda: right(positives=tuple(np.array(right, dtype=None if right else np.int64) for right in given))
+
+
+WRONG_DATASETS: dict[str, list[Callable[..., Dataset]]] = {
+    "it is the same when it is made again": [lambda: right(notes=(f"note {next(COUNT)}",))],
+    "right places are whole numbers, ascending, each once": [truth([0.0]), truth([1, 0])],
+    "images are uint8 (height, width, 3)": [
+        lambda: right(queries=frames(lambda i: picture(i).astype(np.float32))),
+        lambda: right(queries=frames(lambda i: picture(i)[:, :, :2])),
     ],
-)
-def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(tuned_on, state, named):
-    result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "nordland", **tuned_on}}))
-    assert result.state == state
-    assert named in result.reason
+    "an image is the same however it is read": [
+        lambda: right(queries=frames(lambda i: picture(i) ^ np.uint8(next(COUNT) % 256)))
+    ],
+    "the protocol holds plain values": [
+        protocol(references=("day",), query="night"),
+        protocol(references="day", query=float("nan")),
+    ],
+    "held-out queries are none of the queries": [held_out],
+}
+
+
+def broken_rules(make):
+    globals()["made"] = make
+    results = check_dataset({"_target_": f"{__name__}.made"})
+    return {result.rule: result.reason for result in results if result.state == "broken"}
+
+
+@pytest.mark.parametrize(("rule", "make"), [(rule, make) for rule in WRONG_DATASETS for make in WRONG_DATASETS[rule]])
+def test_the_rule_of_a_dataset_alone_catches_what_breaks_it(rule, make):
+    found = broken_rules(make)
+    assert [*found] == [rule]
+    assert found[rule]
+
+
+def test_a_right_dataset_keeps_every_rule_and_each_of_its_rules_has_a_wrong_one():
+    assert broken_rules(right) == {}
+    assert list(WRONG_DATASETS) == list(DATASET_RULES)

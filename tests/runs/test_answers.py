@@ -1,20 +1,26 @@
-"""What a run keeps of a method's answers, and what it gives the method."""
+"""What a run keeps of a method's answers and gives the method: the known answers, within bounded memory."""
 
 import json
-from dataclasses import dataclass, field, replace
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from little import Lookup, journey, number_in, numbers_in, picture
+from little import Angles, Lookup, journey, numbers_in, picture
 from little_runs import asked_for, execute, kinds, run_of, table
 
-from vprbench.api.descriptor import DescriptorMethod
+from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
-from vprbench.api.method import LayerSpikes
+from vprbench.api.method import LayerSpikes, Method
+from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
+from vprbench.methods.sad import SAD
 from vprbench.metrics import ranking
+from vprbench.metrics.accuracy import hits_within
 from vprbench.metrics.ranking import outcome
 from vprbench.runs import frame, rows, scorers
+from vprbench.runs.answers import QueryScoring
+from vprbench.runs.stopwatch import Protocol, Stopwatch
 
 pytestmark = pytest.mark.usefixtures("surroundings")
 
@@ -86,31 +92,25 @@ def test_scores_and_spikes_are_kept_of_a_method_that_overwrites_what_it_gave():
     assert run.spikes["layers"][0]["spikes_per_query"] == sample.tolist()
 
 
-@dataclass(kw_only=True)
-class Reading(DescriptorMethod):
-    """Notes the names of the images that it encodes after the fit."""
-
-    names: list[str] = field(default_factory=list)
-
-    def encode(self, images):
-        if self.searched is not None:
-            self.names += images.names
-        return np.array([[number_in(image) + 1, 1] for image in images], np.float32)
-
-    def keeps_descriptors(self):
-        return True
-
-    def spikes(self, codes):
-        return [LayerSpikes("input", codes)]
-
-
 @pytest.mark.parametrize("cached", [False, True])
 def test_no_query_is_given_under_its_name(tmp_path, cached):
     named = Images.from_arrays([picture(i) for i in range(6)], [f"place {i % 4}" for i in range(6)])
-    method, dataset = Reading(), replace(journey(6, 4), queries=named)
-    execute(asked_for(method, dataset, cache=tmp_path if cached else None))
-    assert len(method.names) > 3 * 6
-    assert all(name.startswith("image ") for name in method.names)
+    names = []
+
+    class Reading(Angles):
+        def encode(self, images):
+            names.extend(images.names)
+            return super().encode(images)
+
+        def keeps_descriptors(self):
+            return True
+
+        def spikes(self, codes):
+            return [LayerSpikes("input", codes)]
+
+    execute(asked_for(Reading(), replace(journey(6, 4), queries=named), cache=tmp_path if cached else None))
+    assert len(names) > 4 + 3 * 6
+    assert all(name.startswith("image ") for name in names)
 
 
 def test_candidates_stand_before_places_that_are_none(store):
@@ -127,3 +127,54 @@ def test_candidates_stand_before_places_that_are_none(store):
     store.save(nowhere)
     (found,) = store.runs()
     assert np.array_equal(found.top_scores, nowhere.top_scores)
+
+
+@pytest.mark.parametrize("shift", [0, 3, -2])
+def test_a_traverse_finds_places_as_far_off_as_it_is_shifted_and_beyond_the_map_none(shift):
+    asked = {"places": 40, "references": ["summer"], "query": "summer", "query_shift": shift}
+    dataset = synthetic(first_query_place=5, query_places=30, unanswerable=3, **asked)
+    scores = SAD().fit(dataset.references, dataset.places).query(dataset.queries)
+    order = np.argsort(-scores, axis=1, kind="stable")[:, :5]
+    assert order[:30, 0].tolist() == [place + shift for place in range(5, 35)]
+    tolerances = (0, max(0, abs(shift) - 1), abs(shift))
+    hits = hits_within(order, np.take_along_axis(scores, order, axis=1), dataset.positives, tolerances)
+    assert hits[:, :30].mean(axis=1).tolist() == [float(shift == 0)] * 2 + [1.0]
+    mapped = {image.tobytes() for image in dataset.references}
+    assert not mapped & {image.tobytes() for image in dataset.queries[30:]}
+
+
+N_PLACES = 27_592  # Nordland, every frame
+BLOCK = 128
+SCORES = np.random.default_rng(0).random((BLOCK, N_PLACES), np.float32)
+
+
+class Fixed(Method):
+    """Reads no image and gives the same scores to each block."""
+
+    def fit(self, references, places):
+        return self
+
+    def encode(self, images):
+        return np.zeros((len(images), 1), np.float32)
+
+    def match(self, codes):
+        return SCORES[: len(codes)]
+
+
+def peak_bytes(n_blocks):
+    """Return the most memory that scoring so many blocks of queries takes beside the scores of one block."""
+    images = Images(lambda _: np.zeros((1, 1, 3), np.uint8), [f"image {i}" for i in range(N_PLACES)])
+    queries, positives = images[: n_blocks * BLOCK], tuple(np.array([i]) for i in range(n_blocks * BLOCK))
+    dataset, method = Dataset("large", images, np.arange(N_PLACES), queries, positives, {}), Fixed()
+    scoring = QueryScoring(Stopwatch(Protocol()), scorers.choose_scorer(method, N_PLACES, 100), dataset, depth=100)
+    tracemalloc.start()
+    scoring.score(None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_a_block_of_queries_against_27592_places_needs_little_and_more_blocks_add_only_kept_answers():
+    assert peak_bytes(1) < 150_000_000
+    kept_per_query = 2_000  # 100 places and scores of 4 bytes each, seven counts of 8, and what lists weigh
+    assert peak_bytes(13) < peak_bytes(3) + 10 * BLOCK * kept_per_query

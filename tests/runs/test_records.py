@@ -30,6 +30,7 @@ from vprbench.runs.views import select_queries
 from vprbench.storage import tensors
 
 KEY = "0123456789abcdef"
+PROCESSES = multiprocessing.get_context("fork")  # start in no time and have imported all
 
 
 @pytest.fixture
@@ -38,12 +39,6 @@ def three(store):
     for key in ("a", "b", "c"):
         store.save(a_run(key=key))
     return store.folder("journey", "little", "b")
-
-
-@pytest.fixture(scope="module")
-def processes():
-    """Processes that start in no time and have imported all."""
-    return multiprocessing.get_context("fork")
 
 
 def stored(store, key=KEY):
@@ -79,6 +74,7 @@ NOISE = np.random.default_rng(0).normal(size=(4, 10)).astype(np.float32)
         a_run(timing=None, config={**a_run().config, "timing": None}),
         a_run(positives=tuple(np.array(row, np.int64) for row in ([], [1], [], [9, 3]))),
         replace(unanswerable_run(), scores=None),
+        a_run(query_breaks=np.array([1, 3]), place_breaks=np.array([], np.int64)),
     ],
 )
 def test_a_run_comes_back_bit_by_bit_without_a_pickle_and_is_replaced_as_a_whole(store, run):
@@ -93,13 +89,9 @@ def test_a_run_comes_back_bit_by_bit_without_a_pickle_and_is_replaced_as_a_whole
     assert [path.name for path in store.root.iterdir()] == ["journey"]
 
 
-def summary_of(folder):
-    return dict(json.loads((folder / "run.json").read_text()))
-
-
 def tell(where, value, folder):
     """Change a value of a summary."""
-    summary = part = summary_of(folder)
+    summary = part = json.loads((folder / "run.json").read_text())
     *outer, last = where.split(".")
     for name in outer:
         part = part[int(name) if name.isdigit() else name]
@@ -131,11 +123,6 @@ def spoil_file(pattern, spoil, folder):
     path.write_bytes(spoil(bytearray(path.read_bytes())))
 
 
-def flip_a_bit(content):
-    content[len(content) // 2] ^= 1
-    return content
-
-
 def enlarge(folder):
     header = json.dumps({"scores": {"dtype": "F32", "shape": [4, 10**12], "data_offsets": [0, 16 * 10**12]}}).encode()
     path = arrays_of(folder)
@@ -146,15 +133,13 @@ def enlarge(folder):
 FILES = [
     *(partial(spoil_file, name, lambda content: content[:-40]) for name in ("run.json", "arrays-*")),
     *(partial(spoil_file, "run.json", lambda _, text=text: text) for text in (b"", b"[]", b"[" * 100_000)),
-    partial(spoil_file, "arrays-*", flip_a_bit),
+    partial(spoil_file, "arrays-*", lambda content: content[:-1] + bytes([content[-1] ^ 1])),
     lambda folder: arrays_of(folder).unlink(),
     enlarge,
 ]
 VALUES = [  # of which each cannot be in any of the places beside it
-    (
-        None,
-        "outcome.n_places method fingerprint config protocol environment data notes config.method config.seed schema",
-    ),
+    (None, "outcome.n_places method fingerprint config protocol environment data notes config.method"),
+    (None, "config.seed schema"),
     ("5", "outcome.n_places fit_seconds peak_memory_bytes config.dataset config.seed notes environment.libraries"),
     ("5", "protocol.tolerance_places config.timing.minimum_seconds timing.streaming.valid"),
     (0, "outcome.n_places timing.offline.0.images_per_call"),
@@ -206,6 +191,15 @@ def test_a_run_that_would_not_be_read_is_not_stored(store, three):
         store.save(select_queries(untimed, np.arange(2), {}))
     assert keys(store) == ["a", "b", "c"]
     assert [path.name for path in store.root.iterdir()] == ["journey"]
+
+
+def test_the_last_failure_of_a_configuration_is_kept_beside_runs_until_the_run_succeeds(store):
+    last, other = a_failure(error="ValueError: no", missing=True), a_failure(config={**a_run().config, "seed": 4})
+    for failure in (a_failure(), other, last):
+        store.save_failure(failure)
+    assert sorted(store.failures(), key=lambda failure: failure.config["seed"]) == [last, other]
+    store.save(a_run())
+    assert (list(store.failures()), len(list(store.runs()))) == ([other], 1)
 
 
 def test_a_failure_that_cannot_be_is_left_out_by_name(store, caplog):
@@ -267,9 +261,9 @@ def test_what_nobody_touched_for_a_day_is_removed_and_never_a_run(store, hours, 
     assert len(keys(store)) == 1
 
 
-def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store, processes):
+def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_new_one(store):
     for step in range(200):
-        writer = processes.Process(target=replace_and_die, args=(store.root, step), daemon=True)
+        writer = PROCESSES.Process(target=replace_and_die, args=(store.root, step), daemon=True)
         writer.start()
         writer.join()
         assert [run.n_references for run in Store(store.root).runs()] in ([21], [22]), f"step {step}"
@@ -284,9 +278,9 @@ def test_a_process_killed_at_any_step_of_replacing_a_run_leaves_the_old_or_the_n
     assert [path.name for path in store.root.glob("*/*")] == [f"little-{KEY}"]
 
 
-def test_several_processes_lose_no_run_and_leave_one_of_a_key(store, processes):
+def test_several_processes_lose_no_run_and_leave_one_of_a_key(store):
     written = [[KEY, *(f"writer{writer}run{number}" for number in range(6)), KEY] for writer in range(4)]
-    with ProcessPoolExecutor(4, mp_context=processes) as pool:
+    with ProcessPoolExecutor(4, mp_context=PROCESSES) as pool:
         assert list(pool.map(save_keys, [store.root] * 4, written)) == [8] * 4
     assert sorted(keys(store)) == sorted({key for row in written for key in row})
     assert sorted(path.name for path in store.root.glob("*/*")) == sorted(f"little-{key}" for key in keys(store))

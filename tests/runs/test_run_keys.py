@@ -13,11 +13,11 @@ import pytest
 from checkout import ROOT
 from little import Lookup, journey, pictures
 from little_runs import QUICK, asked_for, run_of
+from plugged_in import see_yamls
 from small_plan import RUN
 
 from vprbench.cli import main
 from vprbench.methods.hog import HOG
-from vprbench.plugins import registry
 from vprbench.plugins.networks import Files
 from vprbench.runs import identity, machine
 from vprbench.runs.corruption import corrupt_queries
@@ -34,9 +34,8 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
     return replace(asked, fingerprint=compute_fingerprint(dataset or LITTLE)).key()
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_a_run_that_could_end_otherwise_has_another_key():
+    others = (
         {"method": {"_target_": "little.Lookup", "window": 6}},
         *({name: value} for name, value in (("seed", 1), ("depth", 4), ("threads", 2), ("tuned_on", {"dataset": "a"}))),
         {"dataset": journey(6, 4, [[0], [1], [2], [3], [0, 1], [1]])},
@@ -53,10 +52,8 @@ def key(dataset=None, protocol=QUICK, threads=1, **changes):
                 ("query_breaks", np.array([2])),
             )
         ),
-    ],
-)
-def test_a_run_that_could_end_otherwise_has_another_key(changes):
-    assert key(**changes) != key()
+    )
+    assert [changes for changes in others if key(**changes) == key()] == []
 
 
 def test_another_processor_has_another_key_and_a_run_that_loads_a_network_that_of_the_network(monkeypatch):
@@ -145,12 +142,9 @@ def test_all_files_that_a_method_imports_in_any_way_or_inherits_from_count_and_n
 def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_another_number(
     package, monkeypatch, capsys
 ):
-    file, yaml = package / "inner/moved.py", package / "method/grass.yaml"
-    yaml.parent.mkdir()
+    file, write = package / "inner/moved.py", see_yamls(package, monkeypatch)
     text = (ROOT / "methods/sad.py").read_text().replace("from .parts", "from vprbench.methods.parts")
     given = (ROOT / "conf/method/sad.yaml").read_text()
-    folders = {**registry.find_conf_folders(), "meadow": package}
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
     monkeypatch.chdir(package.parent)
     asked = ["method=grass", "dataset.places=10", "dataset.first_query_place=0", "frames=false", "output=json"]
     found = []
@@ -162,7 +156,7 @@ def test_the_run_of_a_real_method_is_found_after_its_file_moved_and_not_after_an
         assert old in text
         path.write_text(text.replace(old, new) if old else text)
         module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
-        yaml.write_text(given.replace("vprbench.methods.sad", module))
+        write("grass", given.replace("vprbench.methods.sad", module))
         forget()
         assert main([*asked, *RUN, "timing=none"]) == 0
         found.append(json.loads(capsys.readouterr().out)["from_store"])

@@ -1,4 +1,4 @@
-"""A run is locked while it is made: of many processes one makes it, the dead hold nothing, and `status` shows."""
+"""A run is locked while it is made: of many processes one makes it, the dead hold nothing; each is timed alone."""
 
 import contextlib
 import json
@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import pytest
 from checkout import ROOT
@@ -17,6 +19,7 @@ from little import Lookup, a_failure, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench import cli
+from vprbench.runs import timing_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.run_lock import HeldElsewhereError, is_held, lock_run, read_claims
 from vprbench.runs.store import Store
@@ -196,3 +199,53 @@ def test_of_a_folder_that_is_not_there_nothing_is_told_or_made(tmp_path, capsys)
     assert cli.main(["status", f"results={tmp_path}/nowhere"]) == 2
     assert "/nowhere" in capsys.readouterr().err
     assert [*tmp_path.iterdir()] == []
+
+
+# Runs of one host compute side by side, and each is timed alone.
+
+COMPUTE = """
+import time
+from vprbench.runs.timing_lock import share_host
+with share_host() as lock:
+    print(time.time(), flush=True)
+    time.sleep({})
+"""
+TIMED = """
+    with lock.hold_alone():
+        began = time.time()
+        time.sleep(0.2)
+        print(began, time.time())
+"""
+
+
+@pytest.fixture(autouse=True)
+def _host(tmp_path, monkeypatch):
+    """Work on a host where nothing runs."""
+    monkeypatch.setenv(timing_lock.FOLDER, str(tmp_path / "locks"))
+
+
+def start(code, seconds):
+    """Start a process that computes for so many seconds."""
+    return subprocess.Popen([sys.executable, "-c", code.format(seconds)], stdout=subprocess.PIPE, text=True)
+
+
+def test_a_run_is_timed_once_the_others_have_computed_and_none_begins_meanwhile():
+    with start(COMPUTE, 60) as computes:
+        assert computes.stdout.readline()
+        with share_host() as lock, share_host(lock) as same:
+            assert same is lock
+            assert not lock.is_only_run()
+            threading.Timer(0.3, computes.kill).start()  # the system frees its lock
+            with lock.hold_alone():
+                computes.wait(20)
+                begins = start(COMPUTE, 0)
+                time.sleep(0.5)
+                timed = time.time()
+            assert float(begins.communicate()[0]) > timed
+            assert lock.is_only_run()
+
+
+def test_runs_that_compute_side_by_side_and_are_then_to_be_timed_are_timed_one_after_the_other():
+    runs = [start(COMPUTE + TIMED, 0.3) for _ in range(3)]
+    times = sorted([float(moment) for moment in run.communicate()[0].split()[1:]] for run in runs)
+    assert all(one[1] <= next[0] for one, next in pairwise(times))

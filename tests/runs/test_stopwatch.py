@@ -4,60 +4,38 @@ import contextlib
 import gc
 import itertools
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from little import numbers_in, pictures
+from little import Lookup, picture, pictures
 from stopped_clock import Clock
 
 from vprbench.api.images import Images
-from vprbench.api.method import Method
 from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.runs import stopwatch
-from vprbench.runs.stopwatch import (
-    Protocol,
-    Stopwatch,
-    compute_offline_rate,
-    compute_streaming_rate,
-    estimate_percentile_bound,
-    find_fastest_batch,
-)
+from vprbench.runs.stopwatch import Protocol, Stopwatch
+
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 MS = 1_000_000  # nanoseconds
 
 
-@dataclass
-class Timed(Method):
-    """Spends on each call what `encode_costs` and `match_costs` say; keeps what it was asked."""
+class Timed(Lookup):
+    """Spends on each call what `encode_costs` and `match_costs` make of the numbers of the images, in nanoseconds."""
 
-    spend: Callable[[int], object] = lambda _: None
-    encode_costs: Callable[[list[int]], int] = lambda _: 0  # from the numbers of the images to nanoseconds
-    match_costs: Callable[[list[int]], int] = lambda _: 0
-    asked: list[list[int]] = field(default_factory=list)
-
-    def fit(self, references, places):
-        return self
+    def __init__(self, spend=lambda _: None, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS):
+        super().__init__(np.eye(20, dtype=np.float32))
+        self.spend, self.encode_costs, self.match_costs = spend, encode_costs, match_costs
 
     def encode(self, images):
-        numbers = numbers_in(images)
-        self.asked.append(numbers)
-        self.spend(self.encode_costs(numbers))
-        return np.array(numbers)
+        codes = super().encode(images)
+        self.spend(self.encode_costs(codes.tolist()))
+        return codes
 
     def match(self, codes):
         self.spend(self.match_costs(codes.tolist()))
-        return (codes[:, None] == np.arange(12)).astype(np.float32)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _imports_are_no_garbage():
-    """Keep the collection before each measurement short."""
-    gc.freeze()
-    yield
-    gc.unfreeze()
+        return super().match(codes)
 
 
 def short(**changes):
@@ -66,15 +44,10 @@ def short(**changes):
     return Protocol(**{**small, **changes})
 
 
-def timed_by(clock, encode_costs=lambda _: 3 * MS, match_costs=lambda _: 1 * MS):
-    """Return a method that moves a fake clock by its costs."""
-    return Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), encode_costs, match_costs)
-
-
 def measured(protocol, *costs, images=5, seed=0):
     """Measure a method whose costs are known; returns the times and what was asked."""
     clock = Clock()
-    method = timed_by(clock, *costs)
+    method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9), *costs)
     return Stopwatch(protocol, clock, seed=seed).measure(method, pictures(range(images))), method.asked
 
 
@@ -83,24 +56,24 @@ def streamed(timing, asked):
     return [number for (number,) in asked[: len(timing.streaming.encode_seconds)]]
 
 
-def sizes(timing):
-    return [laps.images_per_call for laps in timing.offline]
-
-
 def test_a_streaming_rate_is_of_the_median_an_offline_rate_of_the_sum_and_the_best_batch_of_the_highest_rate():
-    assert compute_streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
-    assert compute_offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
+    assert stopwatch.compute_streaming_rate(np.array([0.001, 0.002, 0.010])) == 500
+    assert stopwatch.compute_offline_rate(np.array([0.1, 0.3]), 8) == pytest.approx(40)
     costs = {1: 10, 2: 12, 4: 40}  # ms: 100, 167 and 100 images per second
     timing, _ = measured(short(batch_sizes=[1, 2, 4]), lambda numbers: costs[len(numbers)] * MS, lambda _: 0, images=8)
-    assert find_fastest_batch(timing.offline).images_per_call == 2
+    assert stopwatch.find_fastest_batch(timing.offline).images_per_call == 2
 
 
-def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte():
+def test_batches_are_whole_and_hold_no_more_than_the_sample_nor_than_a_gibibyte_and_it_no_more_than_its_bytes(
+    monkeypatch,
+):
     large = type("Large", (Timed,), {"code_bytes": 300 << 20})
     for method, asked, images, held in ((Timed(), [2, 32, 128], 5, [2, 5]), (large(), [1, 2, 4, 8], 8, [1, 2, 3])):
         timing = Stopwatch(short(batch_sizes=asked, minimum_passes=3)).measure(method, pictures(range(images)))
-        assert sizes(timing) == held
+        assert [laps.images_per_call for laps in timing.offline] == held
         assert {len(numbers) for numbers in method.asked} == {1, *held}
+    monkeypatch.setattr(stopwatch, "_SAMPLE_BYTES", 4 * pictures([0])[0].nbytes)
+    assert measured(short(sample=16), images=20)[0].sample.tolist() == [0, 6, 12, 19]
 
 
 def test_by_the_real_clock_calls_last_at_least_as_long_as_a_method_slept_and_all_no_longer_than_it_took():
@@ -120,15 +93,15 @@ def test_work_that_calls_and_laps_leave_on_the_device_counts_and_work_queued_bef
         queued.clear()
 
     method = Timed(queued.append, lambda _: 3 * MS, lambda _: 1 * MS)
-    stopwatch = Stopwatch(short(warmup_queries=1), clock, synchronise)
+    watch = Stopwatch(short(warmup_queries=1), clock, synchronise)
     queued.append(500 * MS)
-    assert stopwatch.first_query(method, pictures(range(5))) == pytest.approx(0.004)
+    assert watch.first_query(method, pictures(range(5))) == pytest.approx(0.004)
     queued.append(500 * MS)
-    timing = stopwatch.measure(method, pictures(range(5)))
+    timing = watch.measure(method, pictures(range(5)))
     assert timing.streaming.encode_seconds.tolist() == [0.003] * 5
     assert timing.streaming.match_seconds.tolist() == [0.001] * 5
     queued.append(500 * MS)
-    with stopwatch.lap() as lap:
+    with watch.lap() as lap:
         clock.now += 7 * MS
         queued.append(2 * MS)
     assert lap == [0.009]
@@ -203,16 +176,11 @@ def test_images_are_decoded_before_the_clock_runs():
 
     def read(i):
         reads.append(clock.now)
-        return np.full((3, 4, 3), i, np.uint8)
+        return picture(i)
 
-    Stopwatch(short(), clock).measure(timed_by(clock), Images(read, ["a", "b", "c"]))
+    method = Timed(lambda nanoseconds: clock.spend(nanoseconds / 1e9))
+    Stopwatch(short(), clock).measure(method, Images(read, ["a", "b", "c"]))
     assert (len(reads) >= 3, {*reads}) == (True, {0})
-
-
-def test_a_sample_fills_no_more_than_its_bytes(monkeypatch):
-    monkeypatch.setattr(stopwatch, "_SAMPLE_BYTES", 4 * pictures([0])[0].nbytes)
-    timing = Stopwatch(short(sample=16)).measure(Timed(), pictures(range(20)))
-    assert timing.sample.tolist() == [0, 6, 12, 19]
 
 
 def test_the_first_batch_of_each_size_is_not_timed():
@@ -230,7 +198,7 @@ def test_the_bound_of_a_percentile_is_the_lap_with_h_above_it():
     }.items():
         for count, above in counts.items():
             seconds = np.random.default_rng(0).permutation(count).astype(np.float64) + 1  # 1 to count
-            assert estimate_percentile_bound(seconds, share) == (None if above is None else count - above)
+            assert stopwatch.estimate_percentile_bound(seconds, share) == (None if above is None else count - above)
 
 
 def test_a_protocol_that_measures_nothing_is_refused_by_name():

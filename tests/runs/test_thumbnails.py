@@ -111,10 +111,6 @@ def test_what_is_kept_already_is_not_read_again(tmp_path):
     )
 
 
-def refuse(*_):
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -137,6 +133,9 @@ def test_a_damaged_file_is_none_and_named_and_made_anew(tmp_path, spoil, caplog)
 def test_a_run_makes_the_frames_that_are_missing_and_asked_for_and_is_not_lost_where_the_disk_refuses_them(
     store, monkeypatch, caplog
 ):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     def frames(seed=0, **settings):
         asked = {"seed": seed, "frames": True, **settings}
         get_or_run(asked_for(Lookup(table(6, 4)), journey(6, 4), replace(QUICK, rates=False), **asked), store)

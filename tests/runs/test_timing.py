@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from held_memory import in_a_new_process, peaks_of_runs
-from little import Lookup, Prototypes, journey, numbers_in, slow_pictures
+from little import Lookup, journey, numbers_in, slow_pictures
 from little_runs import QUICK, asked_for, kinds, run_of, table
 from stopped_clock import Clock
 
 from vprbench import progress
 from vprbench.config import make_request
 from vprbench.plugins.entries import find_entries
-from vprbench.plugins.networks import Files
 from vprbench.runs import frame, machine, rows, timing_lock
 from vprbench.runs.get_or_run import get_or_run
 from vprbench.runs.stopwatch import Protocol
@@ -41,15 +40,6 @@ def test_a_run_is_made_again_where_it_was_timed_by_less_than_asked_for_and_not_w
     assert [answer.run.timing is None for answer in answers] == [True, True, False, False, False, False]
     assert len({answer.folder for answer in answers}) == 1
     assert [run.timed_by for run in store.runs()] == [MORE]
-
-
-def test_a_run_is_made_again_where_its_network_was_asked_for_and_not_kept(store, tmp_path):
-    def made(path=None):
-        files = {"files": Files(save=path), "save": path and str(path)}
-        return get_or_run(asked_for(Prototypes(), journey(6, 4), UNTIMED, **files), store).from_store
-
-    path = tmp_path / "net.safetensors"
-    assert [made(), made(path), made(path)] == [False, False, True]
 
 
 def test_a_protocol_that_measures_less_falls_short_by_name_and_the_named_ones_answer_one_another_in_their_order():
@@ -108,9 +98,7 @@ class Learning(Lookup):
 
 @pytest.mark.parametrize("excess", [0, 0.6])
 def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(clock, monkeypatch, surroundings, excess):
-    monkeypatch.setattr(
-        surroundings, "describe_machine", lambda *_: clock.spend(7) or {}
-    )  # a look at the machine takes 7 s
+    monkeypatch.setattr(surroundings, "describe_machine", lambda *_: clock.spend(7) or {})  # takes 7 s
     references, queries = (slow_pictures(8, 0.02, clock.spend) for _ in range(2))
     numbers_in(references)  # what is read before a run does not count
     dataset = replace(journey(8, 8), references=references, queries=queries)
@@ -119,9 +107,8 @@ def test_times_of_fit_computing_first_query_method_and_harness_are_told_apart(cl
     assert (shown["fit_seconds"], shown["fit_compute_seconds"]) == pytest.approx((8 * 0.02 + 0.06, 0.06))
     assert run.timing.first_query_seconds == pytest.approx(0.006 + excess)
     assert rows.format_row(run)["fit s"] == "0.22"
-    assert run.method_seconds == pytest.approx(
-        0.06 + 8 * 0.006 + 0.006 + excess
-    )  # the first query is asked once before
+    # the first query is asked once before
+    assert run.method_seconds == pytest.approx(0.06 + 8 * 0.006 + 0.006 + excess)
     assert run.harness_seconds == pytest.approx(7)
 
 
@@ -161,9 +148,7 @@ def test_a_run_is_noisy_if_processes_waited_for_a_core_or_a_fixed_computation_dr
     canaries = itertools.chain([1.0] * 3, itertools.repeat(after))  # until timing begins
     pressures = iter(range(9))
     monkeypatch.setattr(
-        surroundings,
-        "read_cpu_wait_seconds",
-        lambda: None if waited is None else waited * next(pressures),
+        surroundings, "read_cpu_wait_seconds", lambda: None if waited is None else waited * next(pressures)
     )
     monkeypatch.setattr(surroundings, "time_canary", lambda: next(canaries))
     assert ("noisy" in kinds(run_of(Lookup(table(12, 4)), journey(12, 4)))) is noisy

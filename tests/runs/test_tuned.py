@@ -10,57 +10,34 @@ import numpy as np
 import pytest
 from figure_runs import run
 from PIL import Image as PillowImage
+from plugged_in import see_yamls
 
 import vprbench
 from vprbench.cli import main
 from vprbench.config import make_request
 from vprbench.datasets.nordland import published_frames
-from vprbench.plugins import registry
 from vprbench.runs.store import Store
 from vprbench.runs.tuned import describe_tuning, overlaps_tuning_places, without_tuning_places
 from vprbench.runs.views import replace_scores
+
+NOT_TUNED = "_target_: vprbench.methods.sad.SAD\npatch: 5\n"
+QUICK = ["dataset.places=20", "dataset.first_query_place=2", "timing=none", "threads=1", "frames=false"]
 
 
 @pytest.fixture
 def plug_in(tmp_path, monkeypatch):
     """Return what registers a yaml of another package; runs are made in an empty folder."""
-    folder = tmp_path / "conf"
-    (folder / "method").mkdir(parents=True)
-    ours = registry.find_conf_folders()
-    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: {**ours, "other": folder})
     monkeypatch.chdir(tmp_path)
-
-    def registered(name, text):
-        (folder / "method" / f"{name}.yaml").write_text(text, encoding="utf-8")
-
-    registered("mine", NOT_TUNED)
-    registered("upper", "defaults: [mine, _self_]\nwidth: 14\n")
-    return registered
+    write = see_yamls(tmp_path / "conf", monkeypatch)
+    write("mine", NOT_TUNED)
+    write("upper", "defaults: [mine, _self_]\nwidth: 14\n")
+    return write
 
 
 def printed(capsys, *options):
     capsys.readouterr()
     assert main(["method=upper", *options, *QUICK]) == 0
     return capsys.readouterr().out
-
-
-def only_run():
-    (run,) = Store(Path("results")).runs()
-    return run
-
-
-def hits(run, numbers, tuned):
-    """Return the chance of each query of no tuned place that its best place is right; `numbers` are the queries'."""
-    found = []
-    for number, scores, right in zip(numbers, run.scores, run.positives, strict=True):
-        best = np.flatnonzero(scores == scores.max())
-        found += [] if number in tuned else [np.isin(best, right).mean()]
-    return found
-
-
-NOT_TUNED = "_target_: vprbench.methods.sad.SAD\npatch: 5\n"
-NOTE = "tuned on places 5-11 of synthetic"
-QUICK = ["dataset.places=20", "dataset.first_query_place=2", "timing=none", "threads=1", "frames=false"]
 
 
 def told_elsewhere(text):
@@ -77,13 +54,16 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(plug_in, capsys):
     shutil.rmtree("results")
     plug_in("mine", f"{NOT_TUNED}tuned_on: {{dataset: synthetic, places: 5-11}}\n")
     lines = printed(capsys, "wide=true").splitlines()
-    line = next(line for line in lines if line.startswith(f"note: {NOTE}"))
+    line = next(line for line in lines if line.startswith("note: tuned on places 5-11 of synthetic"))
     told = json.loads(printed(capsys, "output=json"))
     assert (told["notes"][0], told["from_store"]) == ({"kind": "tuned", "text": line[6:]}, True)
-    now = only_run()
+    (now,) = Store(Path("results")).runs()
     assert told["tuned_on"] == now.tuned_on == {"dataset": "synthetic", "places": "5-11", "also_in": {}}
     assert "tuned_on" not in now.config["method"]
-    there = hits(now, range(2, 20), range(5, 12))
+    there = []  # the chance of each query of no tuned place that its best place is right
+    for number, scores, right in zip(range(2, 20), now.scores, now.positives, strict=True):
+        best = np.flatnonzero(scores == scores.max())
+        there += [] if number in range(5, 12) else [np.isin(best, right).mean()]
     numbers = [told[f"recall_at_1_elsewhere{end}"] for end in ("", "_low", "_high")]
     assert (numbers[0], told["queries_elsewhere"]) == (pytest.approx(np.mean(there)), len(there))
     assert told_elsewhere(line) == 11
@@ -91,22 +71,17 @@ def test_a_run_prints_and_keeps_on_what_its_method_was_tuned(plug_in, capsys):
     assert any(f" elsewhere {row} " in line for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("options", "declared", "named"),
-    [
+def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(plug_in, capsys):
+    for options, declared, named in (
         (["method=upper", "method.tuned_on=null"], "{dataset: a, places: b}", "method.tuned_on"),
         (["method=mine"], "nordland", "mine"),
         (["method=mine"], "{dataset: a, places: b, colour: red}", "mine"),
-    ],
-)
-def test_the_command_line_cannot_change_it_and_what_is_no_declaration_is_refused_by_its_yaml(
-    plug_in, capsys, options, declared, named
-):
-    plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
-    assert main([*options, *QUICK]) == 2
-    error = capsys.readouterr().err
-    assert (named in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
-    assert list(Store(Path("results")).runs()) == []
+    ):
+        plug_in("mine", f"{NOT_TUNED}tuned_on: {declared}\n")
+        assert main([*options, *QUICK]) == 2
+        error = capsys.readouterr().err
+        assert (named in error, "tuned_on" in error, error.count("\n")) == (True, True, 1)
+        assert list(Store(Path("results")).runs()) == []
 
 
 @pytest.mark.parametrize(
@@ -141,9 +116,7 @@ def test_an_answer_that_rests_on_neighbours_is_of_a_tuned_place_if_one_of_them_i
 
 
 RIDE = {
-    season: [
-        np.random.default_rng([number, place]).integers(0, 256, (24, 32, 3)).astype(np.uint8) for place in range(8)
-    ]
+    season: np.random.default_rng(number).integers(0, 256, (8, 24, 32, 3), np.uint8)
     for number, season in enumerate(("winter", "summer"))
 }
 
@@ -166,11 +139,11 @@ def ride(tmp_path, plug_in):
     return tmp_path
 
 
-def copies(folder, season, places):
+def copies(folder, season):
     """Copy frames under other names, in another order of places, into a folder."""
     folder.mkdir()
-    for number, place in enumerate(places):
-        shutil.copy(folder.parent / season / f"{place}.png", folder / f"frame{number}.png")
+    for place in range(8):
+        shutil.copy(folder.parent / season / f"{place}.png", folder / f"frame{7 - place}.png")
     return folder
 
 
@@ -179,8 +152,8 @@ def copies(folder, season, places):
     ("made", "others"),
     [
         (lambda at: (at / "winter", at / "summer"), 5),
-        (lambda at: (copies(at / "a", "winter", range(7, -1, -1)), copies(at / "b", "summer", range(7, -1, -1))), 5),
-        (lambda at: (RIDE["winter"], RIDE["summer"]), 5),
+        (lambda at: (copies(at / "a", "winter"), copies(at / "b", "summer")), 5),
+        (lambda at: ([*RIDE["winter"]], [*RIDE["summer"]]), 5),
         (lambda at: ([255 - frame for frame in RIDE["winter"]], [255 - frame for frame in RIDE["summer"]]), None),
         (lambda at: (RIDE["winter"][3:], RIDE["summer"][3:]), None),
     ],

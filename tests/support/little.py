@@ -47,8 +47,10 @@ def numbers_in(images):
 class Angles(DescriptorMethod):
     """Describes image number i by cosines of i, in 16 dimensions; images of every 20th number look alike."""
 
+    distinct: int = 20
+
     def encode(self, images):
-        numbers = np.array(numbers_in(images)) % 20
+        numbers = np.array(numbers_in(images)) % self.distinct
         vectors = np.cos(numbers[:, None] * np.arange(1, 17) + np.arange(16))
         return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float32)
 

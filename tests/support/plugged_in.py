@@ -1,6 +1,7 @@
-"""Plug-ins of methods installed for a test, for the processes that it starts too."""
+"""Plug-ins, yamls and loose files of methods for a test, and for the processes that it starts too."""
 
 import os
+import sys
 from functools import cache
 
 from checkout import ROOT
@@ -26,3 +27,22 @@ def see_plugins(root, monkeypatch):
     monkeypatch.syspath_prepend(root)
     monkeypatch.setattr(entries, "_find_plugins", cache(entries._find_plugins.__wrapped__))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (root, ROOT / "tests" / "support", ROOT))))
+
+
+def see_yamls(folder, monkeypatch):
+    """Let this process find the yamls of a folder beside those of packages; returns what writes one of a method."""
+    folders = {**entries.find_conf_folders(), "other": folder}
+    monkeypatch.setattr("vprbench.plugins.entries.find_conf_folders", lambda: folders)
+
+    def write(name, text):
+        path = folder / "method" / f"{name}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+    return write
+
+
+def forget_loose_files(monkeypatch):
+    """Let what loose files leave in this process be gone after the test."""
+    monkeypatch.setattr(entries, "_LOOSE", {"method": {}, "dataset": {}})
+    monkeypatch.setattr(sys, "path", [*sys.path])

@@ -1,28 +1,27 @@
-"""The search: random, then a grid, never more trials than asked for, whole again after any kill, and its verdict."""
+"""The search: random, then a grid, whole again after any kill, its verdict, and what it tells people."""
 
 import contextlib
+import csv
+import io
+import shlex
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
-from optuna.trial import TrialState
+from optuna.distributions import FloatDistribution
+from optuna.trial import TrialState, create_trial
 
+from vprbench.config import make_request
 from vprbench.errors import BadInput
 from vprbench.plugins import registry
-from vprbench.tuning import places, space
-from vprbench.tuning.search import (
-    JOURNAL,
-    Comparison,
-    compare_with_paper,
-    explore,
-    find_best,
-    list_trials,
-    open_study,
-    search,
-)
+from vprbench.tuning import places, space, text
+from vprbench.tuning import search as searching
+from vprbench.tuning.search import Comparison, Found, compare_with_paper, explore, open_study, search
 from vprbench.tuning.settings import Settings
-from vprbench.tuning.space import PAPER
+from vprbench.tuning.space import PAPER, PARAMETERS
 from vprbench.tuning.trial import Hits, encode_stretch, train_and_query
 
 RIGHT, WRONG = np.ones(40), np.zeros(40)
@@ -57,7 +56,7 @@ class Stub:
 def explored(folder, trials, seed=0, stub=None, jobs=1):
     with open_study(folder) as study:
         explore(study, stub or Stub(), trials, seed, jobs)
-        return list_trials(study)
+        return searching.list_trials(study)
 
 
 def tried(trials):
@@ -73,7 +72,7 @@ def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best
         assert sum(one.params[name] != best.params[name] for name in PAPER) == 1
     assert [one.value for one in trials] == pytest.approx([recall(one.params) for one in trials])
     with open_study(tmp_path / "a") as study:
-        assert find_best(study).value == max(one.value for one in trials)
+        assert searching.find_best(study).value == max(one.value for one in trials)
     again, other = (tried(explored(tmp_path / name, 9, seed, jobs=2)) for name, seed in (("b", 0), ("c", 1)))
     assert tried(trials) == again
     assert not any(mine == theirs for *_, mine in again for *_, theirs in other)
@@ -108,8 +107,8 @@ def test_a_killed_search_goes_on_where_it_stopped_up_to_the_number_of_trials(tmp
 def test_a_journal_that_cannot_be_read_or_is_in_use_is_named(tmp_path):
     with open_study(tmp_path), pytest.raises(BadInput, match="in use by another search"), open_study(tmp_path):
         pass
-    (tmp_path / JOURNAL).write_bytes(b"no json\n{}\n")
-    with pytest.raises(BadInput, match=rf"{JOURNAL} cannot be read .* move it away"), open_study(tmp_path):
+    (tmp_path / searching.JOURNAL).write_bytes(b"no json\n{}\n")
+    with pytest.raises(BadInput, match=rf"{searching.JOURNAL} cannot be read .* move it away"), open_study(tmp_path):
         pass
 
 
@@ -153,16 +152,13 @@ for set_by_the_run in ("seed", "device", "tags"):
 DATASET = registry.find_entries("dataset")["synthetic"].values()
 
 
-def stretch_of(n_places, **arguments):
-    """Return the searched stretch of a rendered journey, as it is and encoded, and the arguments of the method."""
-    allowed = places.choose_places("synthetic", DATASET, n_places, [])
-    part = places.cut_dataset(registry.make_dataset(allowed.dataset), allowed.searched)
-    method = {**METHOD, "device": "cpu", **arguments}
-    return part, encode_stretch(part, registry.make_method(method), "searched"), method
-
-
 def test_a_trial_gives_the_recall_of_the_method_itself_on_the_images():
-    part, stretch, method = stretch_of(20)
+    allowed = places.choose_places("synthetic", DATASET, 20, [])
+    part, method = (
+        places.cut_dataset(registry.make_dataset(allowed.dataset), allowed.searched),
+        {**METHOD, "device": "cpu"},
+    )
+    stretch = encode_stretch(part, registry.make_method(method), "searched")
     answers = []
     for seed in (4, 9):
         arguments = {**method, **PAPER, "rate_min": 0.4, "seed": seed}
@@ -197,3 +193,90 @@ def test_a_real_search_compares_its_best_with_the_paper_and_the_same_again_only_
     assert np.array_equal(again.compared.best, found.compared.best)
     other = search(Settings(trials=1, **mine), {**METHOD, "rules": "v1"}, DATASET)
     assert other.folder.name != found.folder.name
+
+
+BEST = {**PAPER, "rate_min": 0.35, "p_excitatory": 0.225, "stdp_rate": 0.00062}
+START = datetime(2025, 1, 31, tzinfo=UTC)
+
+
+def made_trial(number, stage, value, diverged="", failed=""):
+    """Return a trial of 1.25 seconds; one without a value failed."""
+    made = create_trial(
+        state=TrialState.FAIL if value is None else TrialState.COMPLETE,
+        value=value,
+        params=BEST,
+        distributions={each.name: FloatDistribution(each.low, each.high, log=each.log) for each in PARAMETERS},
+        user_attrs={"stage": stage, "point": number, "diverged": diverged, "failed": failed},
+    )
+    made.number, made.datetime_start, made.datetime_complete = number, START, START + timedelta(seconds=1.25)
+    return made
+
+
+MADE_TRIALS = (
+    made_trial(0, "random", 0.25),
+    made_trial(1, "random", 0.0, diverged="training diverged: one neuron wins, always"),
+    made_trial(2, "random", None, failed="MemoryError: no room"),
+    made_trial(4, "grid", 0.5),
+)
+BEST_RECALLS = np.repeat([[0.3], [0.4], [0.5], [0.6], [0.7]], 36, axis=1)  # (seeds, queries); mean 0.5
+
+
+def a_search(gain=0.25, **changes):
+    found = Found(
+        settings=Settings(places=40, trials=3, seed=5),
+        searched=range(40),
+        checked=range(40, 80),
+        folder=Path("results/search/0123456789abcdef"),
+        trials=MADE_TRIALS,
+        best=BEST,
+        compared=Comparison(BEST_RECALLS, BEST_RECALLS - gain),
+    )
+    return replace(found, **changes)
+
+
+def test_a_report_tells_the_best_settings_and_how_sure_their_gain_is():
+    # the sample deviation of 30, 40, 50, 60 and 70 is sqrt(1000 / 4) = 15.8
+    report = text.format_report(a_search())
+    told = (
+        "4 trials of VPRTempo",
+        "3 random, 1 on a grid",
+        "R@1 0: 1. Failed: 1",
+        "50.0 ± 15.8 % against 25.0 ± 15.8 %",
+    )
+    assert [words for words in told if words not in report] == []
+    line = next(line for line in report.splitlines() if "method.rate_min" in line)
+    assert [cell.strip() for cell in line.split("|")[1:-1]] == ["f_min", "method.rate_min", "0.35", "0.2", "0.05 to 1"]
+
+
+@pytest.mark.parametrize("name", ["synthetic", "nordland", "oxford_robotcar"])
+def test_the_command_runs_the_best_settings_on_the_dataset(name):
+    dataset = make_request(["method=vprtempo", f"dataset={name}"]).dataset
+    folder = "/data/it's a 100% path, {really}"
+    settings = Settings(dataset=name, root=folder if "root" in dataset else None)
+    command = shlex.split(text.format_command(a_search(settings=settings)))
+    run = make_request(command[3:])
+    assert run.dataset.get("root") == settings.root
+    assert run.method["max_module"] == 1100
+    assert {name: run.method[name] for name in BEST} == BEST
+
+
+def test_every_trial_is_a_line_of_csv():
+    lines = list(csv.DictReader(io.StringIO(text.format_trials(a_search()))))
+    assert [[line[name] for name in ("stage", "state", "recall_at_1", "reason")] for line in lines] == [
+        ["random", "done", "0.25", ""],
+        ["random", "diverged", "0.0", "training diverged: one neuron wins, always"],
+        ["random", "failed", "", "MemoryError: no room"],
+        ["grid", "done", "0.5", ""],
+    ]
+    assert {name: float(lines[3][name]) for name in PAPER} == BEST
+
+
+@pytest.mark.parametrize(
+    ("settings", "stem"),
+    [({}, "search"), ({"dataset": "nordland"}, "search-nordland"), ({"quick": True}, "search-quick")],
+)
+def test_files_are_named_by_dataset_and_size(tmp_path, settings, stem):
+    found = a_search(settings=Settings(**settings))
+    printed = text.write_report(found, tmp_path)
+    written = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    assert written == {f"{stem}.csv": text.format_trials(found), f"{stem}.md": printed.partition("\nwritten to")[0]}

@@ -1,28 +1,31 @@
-"""Corruptions do to query frames what their words say, alike in any order and process, and the protocol tells."""
+"""Corruptions and viewpoints do to query frames what their words say, and the protocol tells."""
 
 import hashlib
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 from little import journey
+from little_runs import asked_for, execute
 
+from vprbench.api.images import Images
 from vprbench.errors import BadInput
-from vprbench.runs.corruption import (
-    KINDS,
-    Corruption,
-    corrupt_frame,
-    corrupt_queries,
-    parse_corruption,
-    parse_corruptions,
-)
+from vprbench.methods.sad import SAD
+from vprbench.runs import corruption
+from vprbench.runs.corruption import Corruption, corrupt_queries, parse_corruption, parse_corruptions
 from vprbench.runs.identity import compute_fingerprint
+from vprbench.runs.scorers import choose_scorer
+from vprbench.runs.viewpoints import Viewpoint, Viewpoints, parse_viewpoints, record_viewpoints, render_view
+
+pytestmark = pytest.mark.usefixtures("surroundings")
 
 FRAMES = [f"frame {i}" for i in range(12)]
 RANDOM = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+GENERATOR = np.random.default_rng(0)
 
 
 def under(name, image, frame="frame"):
-    return corrupt_frame(image, parse_corruption(name), frame).astype(float)
+    return corruption.corrupt_frame(image, parse_corruption(name), frame).astype(float)
 
 
 def grey(level, height=120, width=200):
@@ -86,7 +89,7 @@ def test_occlusion_hides_a_grey_rectangle_of_its_share_and_resolution_keeps_mean
     np.testing.assert_allclose(coarse[0, :, 0], first, atol=1.01)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", corruption.KINDS)
 def test_queries_are_corrupted_alike_in_any_order_and_view(kind):
     queries = corrupt_queries(journey(6, 4), f"{kind}-2").queries
     one_by_one = {i: queries[i] for i in (4, 1, 5, 0, 3, 2)}
@@ -111,21 +114,88 @@ def test_the_protocol_says_what_was_done_to_queries_and_nothing_else_is_touched(
     assert all(word in spoilt.protocol["corruption"] for word in ("shift-2", "4 px", "left or right", "seed 0"))
     assert spoilt.references is clean.references
     assert (spoilt.positives, spoilt.queries.names) == (clean.positives, clean.queries.names)
-    marks = {
-        compute_fingerprint(each)
-        for each in (clean, spoilt, corrupt_queries(clean, "shift-1"), corrupt_queries(clean, "shift-2-1"))
-    }
-    assert len(marks) == 4
+    kinds = (None, "shift-2", "shift-1", "shift-2-1")
+    assert len({compute_fingerprint(corrupt_queries(clean, kind)) for kind in kinds}) == 4
     assert compute_fingerprint(corrupt_queries(journey(6, 4), "shift-2")) == compute_fingerprint(spoilt)
 
 
 def test_names_ask_for_kinds_and_strengths_and_all_of_them():
     assert len(parse_corruptions(["all"])) == 21
-    assert parse_corruptions(["blur-2", "shift"]) == (
-        *(Corruption("shift", n) for n in (1, 2, 3)),
-        Corruption("blur", 2),
-    )
+    assert parse_corruptions(["blur-2", "shift"]) == (*parse_corruptions(["shift"]), Corruption("blur", 2))
+    assert parse_corruptions(["shift"]) == tuple(Corruption("shift", n) for n in (1, 2, 3))
     assert [parse_corruption(name).name for name in ("noise-2", "noise-2-7")] == ["noise-2", "noise-2-7"]
     for wrong, told in (("shfit-1", "shift"), ("shift-4", "1 to 3")):
         with pytest.raises(BadInput, match=told):
             parse_corruption(wrong)
+
+
+# Queries from several viewpoints: the best view counts.
+
+
+def drawn(count):
+    """Return random frames of 16 x 64 pixels, in blocks of 4 x 4."""
+    return [GENERATOR.integers(0, 256, (4, 16, 3), np.uint8).repeat(4, axis=0).repeat(4, axis=1) for _ in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("horizontal", "vertical"), [(0.25, 0.0), (-0.125, 0.0), (0.0, 0.25), (-0.25, -0.5), (0.0, 0.0)]
+)
+def test_a_view_looks_to_the_right_and_down_by_shares_of_the_frame_and_borders_are_reflected(horizontal, vertical):
+    image = drawn(1)[0]
+    right, down = round(64 * horizontal), round(16 * vertical)
+    wide = np.pad(image, ((15, 15), (63, 63), (0, 0)), "reflect")[15 + down :, 63 + right :][:16, :64]
+    assert np.array_equal(render_view(image, Viewpoint(horizontal, vertical)), wide)
+
+
+@pytest.mark.parametrize("zoom", [1.5, 2.0, 0.8])
+def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
+    right, down = np.arange(64) - 31.5, np.arange(16) - 7.5
+    planes = [100 + 2 * x + 0 * y for x, y in ((right, down[:, None]), (right / zoom, down[:, None]))]
+    ramp, wanted = (np.repeat(plane[:, :, None], 3, axis=2) for plane in planes)
+    found = render_view(ramp.astype(np.uint8), Viewpoint(zoom=zoom))
+    inside = np.abs(right / zoom) < 31
+    assert np.abs(found[:, inside] - wanted[:, inside]).max() <= 1
+
+
+def test_an_option_is_a_list_of_shifts_or_a_mapping():
+    for option, views, told in (
+        ("[-0.1,0]", [(-0.1, 0, 1), (0, 0, 1)], "-0.1+0"),
+        ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0, 0.1, 1), (0.2, 0.1, 1)], "0/0.1+0.2/0.1"),
+        ("{vertical:[0.25],zoom:[1,1.1]}", [(0, 0.25, 1), (0, 0.25, 1.1)], "0/0.25+0/0.25 zoom 1.1"),
+    ):
+        found = parse_viewpoints(option)
+        assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)
+        assert record_viewpoints(journey(4, 2), found).protocol["views"] == told
+    assert parse_viewpoints(None) is None
+
+
+def test_what_is_no_viewpoint_is_refused_by_the_name_of_the_option():
+    for option in ([0.7], [float("nan")], [], [0.1, 0.1], "sideways", {"zoom": [3]}, {"tilt": [1]}):
+        with pytest.raises(BadInput, match="views"):
+            parse_viewpoints(option)
+
+
+def test_a_place_has_the_score_of_the_view_that_shows_it_best_whatever_the_batch():
+    seen = Images.from_arrays(drawn(6))
+    method = SAD(height=16, width=64).fit(seen, np.arange(6))
+    views = [Viewpoint(-0.25), Viewpoint(), Viewpoint(0.25)]
+    asked = Images.from_arrays([render_view(seen[i], view) for i, view in enumerate([*views, *views])])
+    viewed = choose_scorer(method, 6, 6, views=views)
+    scores = viewed.match(viewed.encode(asked))
+    alone = [method.query(Images.from_arrays([render_view(image, view) for image in asked])) for view in views]
+    assert np.array_equal(scores, np.max(alone, axis=0))
+    assert np.array_equal(scores, np.concatenate([viewed.match(viewed.encode(asked[i : i + 1])) for i in range(6)]))
+
+
+def test_a_run_from_shifted_views_finds_the_places_of_a_shifted_camera_and_says_from_where_it_looked(store):
+    seen, views = drawn(200), {"horizontal": (-0.125, 0.0)}
+    queries = [render_view(image, Viewpoint(0.125)) for image in seen]  # which look an eighth of the frame to the right
+    moved = replace(journey(200, 200), references=Images.from_arrays(seen), queries=Images.from_arrays(queries))
+    plain = execute(asked_for(SAD(height=16, width=64), moved))
+    viewed = record_viewpoints(moved, Viewpoints(**views))
+    run = execute(asked_for(SAD(height=16, width=64), viewed, scores=True, views=views))
+    right = [np.mean(each.top_places[:, 0] == np.arange(200)) for each in (plain, run)]
+    assert right[0] < 0.1 < 0.95 < right[1]
+    assert (run.config["views"], run.protocol["views"]) == (views, "-0.125+0")
+    store.save(run)
+    assert [back.protocol["views"] for back in store.runs()] == ["-0.125+0"]
