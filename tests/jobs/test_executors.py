@@ -77,7 +77,7 @@ def test_a_run_is_taken_when_there_is_room_and_a_run_that_another_sweep_makes_is
 )
 def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(given, words, capsys):
     with pytest.raises(BadInput, match=words):
-        parse_options(ClusterOptions, given, {})
+        parse_options(ClusterOptions, given)
     assert cli.main([*RUN, "workers=2"]) == 2
     assert "workers=2: " in capsys.readouterr().err
 
@@ -95,7 +95,7 @@ def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(give
 )
 def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(given, options, threads, monkeypatch):
     monkeypatch.setattr(cluster_options, "count_cores", lambda: 8)
-    assert parse_options(ClusterOptions, given, {}).threads(options) == threads
+    assert parse_options(ClusterOptions, given).threads(options) == threads
 
 
 def test_workers_make_runs_side_by_side_without_dask(tmp_path):

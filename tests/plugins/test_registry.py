@@ -113,13 +113,13 @@ def test_a_list_is_given_with_or_without_brackets():
         ("frames=[[2,3]]", [[2, 3]]),
         ("name=a,b", "a,b"),
     ):
-        assert getattr(parse_options(Asked, [option], {}), option.split("=")[0]) == value
+        assert getattr(parse_options(Asked, [option]), option.split("=")[0]) == value
 
 
 def test_an_option_that_does_not_fit_is_refused_by_its_name_and_what_json_cannot_say_otherwise_is_taken():
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
-            parse_options(Asked, [option], {})
+            parse_options(Asked, [option])
     for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
         with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
             check_value("method.cells", value, hint)

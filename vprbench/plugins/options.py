@@ -57,11 +57,8 @@ def check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]
     return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
 
 
-def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: Mapping[str, Any]) -> Options:
-    """Return the settings that `option=value` ask for, over those of `quick` if quick=true is among them.
-
-    Raises BadInput that names the option that is unknown or does not fit.
-    """
+def parse_options(kind: Callable[..., Options], options: Sequence[str]) -> Options:
+    """Return the settings that `option=value` ask for; raises BadInput that names an option which does not fit."""
     hints = get_type_hints(kind)
     given: dict[str, Any] = {}
     for option in options:
@@ -75,7 +72,7 @@ def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: M
             given[name] = _parse_text(text, hints.get(name))
     values = check_values("", given, hints)
     require_homes(values)
-    return kind(**{**(quick if values.get("quick") else {}), **values})
+    return kind(**values)
 
 
 def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
