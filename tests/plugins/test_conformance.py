@@ -224,18 +224,3 @@ def test_exceptions_are_counted_with_their_reasons():
 def test_a_method_that_replaces_query_is_refused():
     with pytest.raises(TypeError, match="replaces query: write"):
         wrong("OneStep", query=lambda self, images: np.zeros((len(images), 20), np.float32))
-
-
-@pytest.mark.parametrize(
-    ("tuned_on", "state", "named"),
-    [
-        ({"places": "0-9, 30-39", "also_in": {"synthetic": "0-4", "nordland": "unknown"}}, "kept", ""),
-        ({"dataset": "nordlant", "places": "0-9"}, "broken", "nordland"),
-        ({"places": "9-0"}, "broken", "9-0"),
-        ({}, "broken", "tuned_on"),
-    ],
-)
-def test_what_a_method_was_tuned_on_has_to_be_told_by_datasets_and_numbers(tuned_on, state, named):
-    result = next(check_method({**composed("method=sad"), "tuned_on": {"dataset": "nordland", **tuned_on}}))
-    assert result.state == state
-    assert named in result.reason

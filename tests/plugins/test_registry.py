@@ -5,7 +5,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from described_images import composed
@@ -101,9 +101,10 @@ class Asked:
     sizes: list[int] | None = None
     frames: list[list[int]] = field(default_factory=list)
     name: str = ""
+    view: Any = None
 
 
-def test_a_list_is_given_with_or_without_brackets():
+def test_a_list_is_given_with_or_without_brackets_and_a_mapping_without_quotes():
     for option, value in (
         ("names=sad,hog", ["sad", "hog"]),
         ("names=[sad, hog]", ["sad", "hog"]),
@@ -112,6 +113,8 @@ def test_a_list_is_given_with_or_without_brackets():
         ("sizes=null", None),
         ("frames=[[2,3]]", [[2, 3]]),
         ("name=a,b", "a,b"),
+        ("name={a}", "{a}"),
+        ("view={length:[2,4],window:centred}", {"length": [2, 4], "window": "centred"}),
     ):
         assert getattr(parse_options(Asked, [option]), option.split("=")[0]) == value
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pkgutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -92,15 +92,15 @@ def compare(options: list[str]) -> int:
 def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import list_broken_plugins
-    from vprbench.plugins.listing import Listing, list_entries
+    from vprbench.plugins.listing import Listing, format_summary, list_entries
 
     settings = parse_options(Listing, [word for word in words if "=" in word])
     found = list_entries([word for word in words if "=" not in word], settings.weights)
     if settings.output == "json":
-        print(json.dumps([asdict(each) for each in found]))
+        print(json.dumps(found))
         return 0
     for group in ("method", "dataset"):
-        if rows := [(each.name, each.summary) for each in found if each.kind == group]:
+        if rows := [(each["name"], format_summary(each)) for each in found if each["kind"] == group]:
             print(format_table([f"{group}s", ""], rows, settings.wide or not make_console().is_terminal))
     for provider, reason in list_broken_plugins() if not words else ():
         print(escape_unprintable(f"plug-in {provider} BROKEN: {reason}"))
@@ -124,7 +124,7 @@ def check(options: list[str]) -> int:
             results = [*conformance.check_dataset(request.dataset)]
         else:
             given = {name.removeprefix("method.") for name in names}
-            results = [*conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given)]
+            results = [*conformance.check_method(request.method, given)]
     for result in results:
         print(escape_unprintable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))

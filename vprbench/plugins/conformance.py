@@ -9,13 +9,8 @@ from typing import Any, Literal
 
 from vprbench.errors import BadInput
 from vprbench.plugins.dataset_rules import DATASET_RULES, BuiltDataset
-from vprbench.plugins.entries import find_entries
 from vprbench.plugins.registry import check_arguments, describe_error, make_dataset, make_method, take_arguments
-from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, Subject, require
-from vprbench.plugins.tuned_places import UNKNOWN, parse_places, parse_tuned_on
-from vprbench.text import suggest_names
-
-TUNED_RULE = "tuned_on names datasets and numbers of their places"
+from vprbench.plugins.rules import ENCODE_RULE, RULES, RuleBrokenError, Subject
 
 
 @dataclass(frozen=True)
@@ -35,14 +30,12 @@ def check_method(config: Mapping[str, Any], given: Set[str] = frozenset()) -> It
     """Put the method of a configuration to every rule; a first fit or encode that fails ends the rules.
 
     Args:
-        config: `_target_` and arguments of the method, and what its yaml declares.
+        config: `_target_` and arguments of the method.
         given: names of arguments that the method's `conformance_arguments` do not replace.
 
     Raises:
         BadInput: a file is missing that the method needs.
     """
-    if config.get("tuned_on") is not None:
-        yield _apply_rule(TUNED_RULE, partial(_check_tuned_on, config["tuned_on"]))
     method = make_method(config)
     method.files()
     own = {name: value for name, value in method.conformance_arguments.items() if name not in given}
@@ -69,15 +62,6 @@ def check_dataset(config: Mapping[str, Any]) -> Iterator[Result]:
     built = BuiltDataset(make_dataset(config), partial(make_dataset, config))
     for rule, test in DATASET_RULES.items():
         yield _apply_rule(rule, partial(test, built))
-
-
-def _check_tuned_on(tuned_on: Any) -> None:
-    declared = parse_tuned_on(tuned_on, "its yaml")
-    known = [str(entry.values().get("name", name)) for name, entry in find_entries("dataset").items()]
-    for name, places in {**declared["also_in"], declared["dataset"]: declared["places"]}.items():
-        require(name in known, f"dataset {name} is unknown: {suggest_names(name, known)}")
-        numbered = parse_places(places) is not None or (places == UNKNOWN and name != declared["dataset"])
-        require(numbered, f"places of {name}: {places} came, wanted their numbers, as in 0-99,200-299")
 
 
 def _apply_rule(rule: str, test: Callable[[], None], excuse: Callable[[], str] = str) -> Result:
