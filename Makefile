@@ -32,7 +32,7 @@ report: $(READY) ## One HTML page with table, figures and a browser of failures 
 
 search: $(READY) ## Search VPRTempo's hyperparameters on places that no result uses: PLACES= TRIALS= JOBS= ARGS=
 	$(RUN) -m vprbench search $(if $(PLACES),places=$(PLACES)) $(if $(TRIALS),trials=$(TRIALS)) \
-		$(if $(JOBS),jobs=$(JOBS)) $(ARGS)
+		$(if $(JOBS),workers=$(JOBS)) $(ARGS)
 
 # Speed at full size, on pytest-benchmark; ARGS are options of pytest, such as -k queries or --benchmark-compare.
 BENCH = OPENBLAS_THREAD_TIMEOUT=16 BENCH=full $(RUN) -m pytest --benchmark-enable --benchmark-only --timeout 0 -q -s

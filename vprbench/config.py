@@ -20,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from vprbench.errors import BadInput
 from vprbench.plugins import entries, loose, registry
 from vprbench.plugins.entries import Folder, Group
-from vprbench.plugins.options import check_value
+from vprbench.plugins.options import check_values
 from vprbench.plugins.tuned_places import parse_tuned_on
 from vprbench.runs.request import OPTIONS, RunRequest
 from vprbench.runs.timing_protocol import Protocol
@@ -74,16 +74,10 @@ def make_request(
         "changed": _find_changed_arguments(options, values, composed),
         "tuned_on": {} if declared is None else parse_tuned_on(declared, f"method {name}"),
         "overrides": [*map(entries.spell_out_plugin_paths, options), *given],
-        "timing": Protocol(**_check_values(Protocol, config["timing"], "timing.")),
-        **_check_values(RunRequest, own),
+        "timing": Protocol(**check_values("timing.", config["timing"], get_type_hints(Protocol, include_extras=True))),
+        **check_values("", own, get_type_hints(RunRequest, include_extras=True)),
     }
     return RunRequest(**{**fields, **(objects or {})})
-
-
-def _check_values(kind: type, values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Return values of the types of the fields of `kind`; raises BadInput that names the first of another type."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: check_value(f"{above}{name}", value, hints[name]) for name, value in values.items()}
 
 
 def split_sweep(options: Sequence[str]) -> list[list[str]]:

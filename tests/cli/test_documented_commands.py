@@ -192,7 +192,7 @@ def execute(options):
     if options[0] == "table":
         options = [*options, "rows=[SAD]", "seeds=1", "columns=[railway]"]
     elif options[0] == "search":
-        options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "jobs=1"]
+        options = [*options, "dataset=synthetic", f"places={PLACES}", "trials=1", "workers=1"]
     elif options[0] in ("compare", "doctor"):
         (name,) = (option.partition("=")[2] for option in options if option.startswith("dataset="))
         options = [*options, *SMALLER.get(name, ()), *(RUN if options[0] == "compare" else ())]

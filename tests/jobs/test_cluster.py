@@ -37,7 +37,7 @@ def batch_systems(tmp_path, monkeypatch):
 
 
 def start(*given):
-    return cluster.start_jobs(parse_options(ClusterOptions, given, {}).job_arguments(), 3)
+    return cluster.start_jobs(parse_options(ClusterOptions, given).job_arguments(), 3)
 
 
 @pytest.mark.parametrize("system", WANTED)
@@ -58,7 +58,7 @@ def test_a_script_asks_its_system_for_the_fields_of_its_yaml_and_begins_one_work
 
 def test_a_yaml_of_ones_own_names_any_class_of_dask_jobqueue_and_workers_bounds_the_jobs(tmp_path):
     (tmp_path / "ours.yaml").write_text("_target_: dask_jobqueue.PBSCluster\ncores: 2\nmemory: 4GiB\nqueue: night\n")
-    options = parse_options(ClusterOptions, ["cluster=./ours.yaml", "cluster.cores=8", "workers=5"], {})
+    options = parse_options(ClusterOptions, ["cluster=./ours.yaml", "cluster.cores=8", "workers=5"])
     assert (cluster.DaskExecutor(options).count_slots(), options.threads([])) == (5, ["threads=8"])
     with cluster.start_jobs(options.job_arguments(), 5):
         assert "#PBS -q night" in (tmp_path / "submitted").read_text()

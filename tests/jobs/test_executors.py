@@ -113,7 +113,7 @@ def test_impossible_options_are_refused_by_name_and_a_single_run_takes_none(caps
         (["scheduler=tcp://here:8786", "workers=2"], "leave workers= and cluster= out"),
     ):
         with pytest.raises(BadInput, match=words):
-            parse_options(ClusterOptions, given, {})
+            parse_options(ClusterOptions, given)
     assert cli.main([*RUN, "workers=2"]) == 2
     assert "workers=2: " in capsys.readouterr().err
 
@@ -128,7 +128,7 @@ def test_each_cell_gets_its_share_of_the_cores_unless_threads_are_asked_for(monk
         (["scheduler=tcp://here:8786"], [], ["threads=1"]),
         (["cluster=pbs", "cluster.cores=6"], [], ["threads=6"]),
     ):
-        assert parse_options(ClusterOptions, given, {}).threads(options) == threads
+        assert parse_options(ClusterOptions, given).threads(options) == threads
 
 
 def test_workers_make_runs_side_by_side_without_dask(tmp_path):

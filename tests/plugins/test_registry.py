@@ -5,7 +5,7 @@ import re
 import sys
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from checkout import ROOT
@@ -87,6 +87,7 @@ class Asked:
     sizes: list[int] | None = None
     frames: list[list[int]] = field(default_factory=list)
     name: str = ""
+    view: Any = None
 
 
 def test_an_option_has_the_type_of_its_hint_with_or_without_brackets_and_is_else_refused_by_its_name():
@@ -98,11 +99,13 @@ def test_an_option_has_the_type_of_its_hint_with_or_without_brackets_and_is_else
         ("sizes=null", None),
         ("frames=[[2,3]]", [[2, 3]]),
         ("name=a,b", "a,b"),
+        ("name={a}", "{a}"),
+        ("view={length:[2,4],window:centred}", {"length": [2, 4], "window": "centred"}),
     ):
-        assert getattr(parse_options(Asked, [option], {}), option.split("=")[0]) == value
+        assert getattr(parse_options(Asked, [option]), option.split("=")[0]) == value
     for option in ("sizes=1,two", "name", "nmae=x", "sizes=[[1]]"):
         with pytest.raises(BadInput, match=option.split("=")[0]):
-            parse_options(Asked, [option], {})
+            parse_options(Asked, [option])
     for value, hint in (("4", int), (1, bool), (4.5, int), ("x", Literal["y"]), ({"a": 1}, list[str])):
         with pytest.raises(BadInput, match=rf"^method\.cells={re.escape(str(value))}: "):
             check_value("method.cells", value, hint)

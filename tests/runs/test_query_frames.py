@@ -159,9 +159,9 @@ def test_a_zoom_shows_the_middle_of_the_frame_enlarged(zoom):
 
 def test_an_option_is_a_list_of_shifts_or_a_mapping():
     for option, views, told in (
-        ("[-0.1,0]", [(-0.1, 0, 1), (0, 0, 1)], "-0.1+0"),
+        ([-0.1, 0], [(-0.1, 0, 1), (0, 0, 1)], "-0.1+0"),
         ({"horizontal": [0, 0.2], "vertical": [0.1]}, [(0, 0.1, 1), (0.2, 0.1, 1)], "0/0.1+0.2/0.1"),
-        ("{vertical:[0.25],zoom:[1,1.1]}", [(0, 0.25, 1), (0, 0.25, 1.1)], "0/0.25+0/0.25 zoom 1.1"),
+        ({"vertical": [0.25], "zoom": [1, 1.1]}, [(0, 0.25, 1), (0, 0.25, 1.1)], "0/0.25+0/0.25 zoom 1.1"),
     ):
         found = parse_viewpoints(option)
         assert ([astuple(view) for view in found.all], found.protocol()) == (views, told)

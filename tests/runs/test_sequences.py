@@ -112,7 +112,7 @@ def test_options_in_words_and_the_names_of_their_files():
         ((4, False), [Sequences(4)], "-sequence-4"),
         (([2, 10], True), [Sequences(2), Sequences(10), Filter()], "-sequence-2-10-filter"),
         (
-            ("{length:[4,10],velocities:[0.8,1],gaps:bridge}",),
+            ({"length": [4, 10], **BRIDGED},),
             [Sequences(4, **BRIDGED), Sequences(10, **BRIDGED)],
             "-sequence-4-10-velocities=0.8+1.0-gaps=bridge",
         ),

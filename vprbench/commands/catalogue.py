@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pkgutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -59,7 +59,7 @@ def run(options: list[str]) -> int:
     own = [option for option in options if ClusterOptions.has(option)]
     of_runs = [option for option in options if option not in ("-m", *own)]
     if "-m" in options and of_runs:
-        cluster = parse_options(ClusterOptions, own, {})
+        cluster = parse_options(ClusterOptions, own)
         runs = split_sweep([*of_runs, *cluster.threads(of_runs)])
         requests = [make_request(run) for run in runs]
         code, keys = run_sweep(requests, cluster)
@@ -92,15 +92,15 @@ def compare(options: list[str]) -> int:
 def show_list(words: list[str]) -> int:
     """Show the methods and datasets, or those that fit: list spiking, list weights=none, list datasets."""
     from vprbench.plugins.entries import list_broken_plugins
-    from vprbench.plugins.listing import Listing, list_entries
+    from vprbench.plugins.listing import Listing, format_summary, list_entries
 
-    settings = parse_options(Listing, [word for word in words if "=" in word], {})
+    settings = parse_options(Listing, [word for word in words if "=" in word])
     found = list_entries([word for word in words if "=" not in word], settings.weights)
     if settings.output == "json":
-        print(json.dumps([asdict(each) for each in found]))
+        print(json.dumps(found))
         return 0
     for group in ("method", "dataset"):
-        if rows := [(each.name, each.summary) for each in found if each.kind == group]:
+        if rows := [(each["name"], format_summary(each)) for each in found if each["kind"] == group]:
             print(format_table([f"{group}s", ""], rows, settings.wide or not make_console().is_terminal))
     for provider, reason in list_broken_plugins() if not words else ():
         print(escape_unprintable(f"plug-in {provider} BROKEN: {reason}"))
@@ -124,7 +124,7 @@ def check(options: list[str]) -> int:
             results = [*conformance.check_dataset(request.dataset)]
         else:
             given = {name.removeprefix("method.") for name in names}
-            results = [*conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given)]
+            results = [*conformance.check_method(request.method, given)]
     for result in results:
         print(escape_unprintable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))
@@ -164,7 +164,7 @@ def show_status(words: list[str]) -> int:
     """Show which runs of a results folder are made now and by whom, and how many are stored."""
     from vprbench.runs.status import StatusOptions, format_row, read_status
 
-    settings = parse_options(StatusOptions, words, {})
+    settings = parse_options(StatusOptions, words)
     found = read_status(settings.results)
     if settings.output == "json":
         print(json.dumps(found))
@@ -217,7 +217,7 @@ def _parse_table(options: list[str]) -> tuple[TableRequest, list[str]]:
             wanted = "rows=, methods=, columns=, seeds= and devices= say what the table of clean frames holds"
             raise BadInput(f"{option}: {wanted}")
     own += quote_options([option for option in own if option.startswith("methods=")])  # loose files get their names
-    request = parse_options(TableRequest, own, {})
+    request = parse_options(TableRequest, own)
     of_runs += request.threads(of_runs)
     run = make_request(of_runs, {"results": request.results})
     if not request.is_distributed:
@@ -231,7 +231,7 @@ def figures(options: list[str]) -> int:
     from vprbench.report.missing_runs import resolve_results_folder
     from vprbench.report.run_options import FolderRequest
 
-    request = parse_options(FolderRequest, options, {})
+    request = parse_options(FolderRequest, options)
     folder = resolve_results_folder(request.results) / "figures"
     print("written to", *read_report(request).write_figures(folder), sep="\n  ")
     return 0
@@ -243,7 +243,7 @@ def report(options: list[str]) -> int:
     from vprbench.report.missing_runs import resolve_results_folder
     from vprbench.report.run_options import FolderRequest
 
-    request = parse_options(FolderRequest, options, {})
+    request = parse_options(FolderRequest, options)
     path = resolve_results_folder(request.results) / f"{request.name or 'report'}.html"
     print(f"written to {read_report(request).write_page(path)}")
     return 0
@@ -255,9 +255,9 @@ def search(options: list[str]) -> int:
     from vprbench.runs.store import Store
     from vprbench.tuning import space, text
     from vprbench.tuning.search import search as search_settings
-    from vprbench.tuning.settings import QUICK, Settings
+    from vprbench.tuning.settings import Settings
 
-    settings = parse_options(Settings, options, QUICK)
+    settings = parse_options(Settings, options)
     root = {} if settings.root is None else {"dataset.root": settings.root}
     request = make_request([f"method={space.METHOD}", f"dataset={settings.dataset}"], root)
     folder = Path(settings.results).expanduser()

@@ -140,7 +140,7 @@ def fetch_command(arguments: Sequence[str], check: Check | None = None) -> int:
     name, *options = arguments
     entry = known.get(name) or next((entry for entry in known.values() if name in entry.datasets), None)
     if entry is not None:
-        return fetch(entry, parse_options(Settings, options, {}), check)
+        return fetch(entry, parse_options(Settings, options), check)
     if name in registry.find_entries("dataset"):
         raise BadInput(f"fetch {name}: there is nothing to download, it is rendered or reads what you have")
     raise BadInput(f"fetch {name}: nothing of that name can be fetched; {suggest_names(name, known)}")

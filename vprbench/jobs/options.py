@@ -68,8 +68,7 @@ class ClusterOptions:
             raise BadInput(
                 f"cluster={name}: {suggest_names(name, known)}, or a yaml of your own, as in cluster=./ours.yaml"
             )
-        lists = {option: read(text) for option, text in given.items() if isinstance(text, str) and text.startswith("[")}
-        values = {**read(path.read_text(encoding="utf-8")), **given, **lists}
+        values = {**read(path.read_text(encoding="utf-8")), **given}
         if type(values.get("cores")) is not int or not isinstance(values.get("_target_"), str):
             raise BadInput(f"cluster={name}: give a whole number of cores, and _target_, as dask_jobqueue.SLURMCluster")
         return values

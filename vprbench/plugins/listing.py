@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from vprbench.errors import BadInput
-from vprbench.plugins.entries import Entry, Folder, Group, find_entries
+from vprbench.plugins.entries import Entry, Group, find_entries
 from vprbench.plugins.options import option
 
 
@@ -21,28 +21,7 @@ class Listing:
     wide: bool = option(False, "true: descriptions are not cut short to fit the terminal")
 
 
-@dataclass(frozen=True)
-class Listed:
-    """One method or dataset, as its yaml describes it."""
-
-    kind: Folder
-    name: str
-    description: str
-    provider: str  # vprbench or the plug-in that brings it
-    tags: tuple[str, ...] = ()
-    needs_weights: bool = False
-    options: tuple[str, ...] = ()
-    broken: str = ""  # why it cannot be used
-
-    @property
-    def summary(self) -> str:
-        """Its description with the plug-in that brings it, or why it is broken."""
-        if self.broken:
-            return f"BROKEN: {self.broken}"
-        return self.description if self.provider == "vprbench" else f"{self.description}  [{self.provider}]"
-
-
-def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
+def list_entries(words: Sequence[str], weights: str = "any") -> list[dict[str, Any]]:
     """Return the methods and datasets, of `methods` or `datasets` alone, that each of the other words fits.
 
     A word is a tag, as in spiking, or a part of a name or a description. Raises BadInput if nothing fits.
@@ -51,23 +30,36 @@ def list_entries(words: Sequence[str], weights: str = "any") -> list[Listed]:
     wanted = [groups[word] for word in words if word in groups] or list(groups.values())
     found = [describe_entry(entry) for group in wanted for entry in find_entries(group).values()]
     for word in (word.lower() for word in words if word not in groups):
-        found = [each for each in found if word in each.tags or word in f"{each.name} {each.description}".lower()]
+        found = [
+            each for each in found if word in each["tags"] or word in f"{each['name']} {each['description']}".lower()
+        ]
     if weights != "any":
-        found = [each for each in found if each.kind == "method" and each.needs_weights == (weights == "needed")]
+        is_wanted = weights == "needed"
+        found = [each for each in found if each["kind"] == "method" and each["needs_weights"] == is_wanted]
     if not found:
         raise BadInput(f"list {' '.join(words)}: no method and no dataset fits: vprbench list shows all")
     return found
 
 
-def describe_entry(entry: Entry) -> Listed:
-    """Return what the yaml of an entry says of it, or why it cannot be used, as far as that shows without an import."""
+def describe_entry(entry: Entry) -> dict[str, Any]:
+    """Return an entry as an object of `list output=json`; `broken` is why it cannot be used, as far as that shows."""
+    found = {"kind": entry.group, "name": entry.name, "description": "", "provider": entry.provider}
     try:
         target = str(entry.values().get("_target_", ""))
         package = target.partition(".")[0]
         fault = "" if target else f"{entry.path} is no {entry.group}: a yaml with _target_ is wanted"
         if target and importlib.util.find_spec(package) is None:
             fault = f"{target} cannot be imported: no package {package} is installed"
-        words = (entry.tags, entry.needs_weights, tuple(entry.options))
-        return Listed(entry.group, entry.name, entry.description, entry.provider, *words, broken=fault)
+        found["description"] = entry.description
+        shown = {"tags": entry.tags, "needs_weights": entry.needs_weights, "options": entry.options, "broken": fault}
     except BadInput as error:
-        return Listed(entry.group, entry.name, "", entry.provider, broken=str(error))
+        shown = {"tags": (), "needs_weights": False, "options": (), "broken": str(error)}
+    return {**found, **shown}
+
+
+def format_summary(entry: Mapping[str, Any]) -> str:
+    """Return the description of a listed entry with the plug-in that brings it, or why it is broken."""
+    if entry["broken"]:
+        return f"BROKEN: {entry['broken']}"
+    provider = "" if entry["provider"] == "vprbench" else f"  [{entry['provider']}]"
+    return f"{entry['description']}{provider}"

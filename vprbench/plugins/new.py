@@ -36,7 +36,7 @@ def write_plugin(words: Sequence[str]) -> str:
     Raises:
         BadInput: the name cannot be used, or the file is there already.
     """
-    settings = parse_options(Settings, [word for word in words if "=" in word], {})
+    settings = parse_options(Settings, [word for word in words if "=" in word])
     group, *names = [word for word in words if "=" not in word] or [""]
     if group not in _EXAMPLES or len(names) != 1:
         raise BadInput("new needs a kind and a name: vprbench new method NAME or vprbench new dataset NAME")

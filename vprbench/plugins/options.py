@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, field, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import yaml
 
 from vprbench.errors import BadInput
 from vprbench.plugins.entries import read
@@ -57,11 +60,8 @@ def check_values(prefix: str, given: Mapping[str, Any], hints: Mapping[str, Any]
     return {name: check_value(f"{prefix}{name}", value, hints[name]) for name, value in given.items()}
 
 
-def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: Mapping[str, Any]) -> Options:
-    """Return the settings that `option=value` ask for, over those of `quick` if quick=true is among them.
-
-    Raises BadInput that names the option that is unknown or does not fit.
-    """
+def parse_options(kind: Callable[..., Options], options: Sequence[str]) -> Options:
+    """Return the settings that `option=value` ask for; raises BadInput that names an option which does not fit."""
     hints = get_type_hints(kind)
     given: dict[str, Any] = {}
     for option in options:
@@ -75,7 +75,7 @@ def parse_options(kind: Callable[..., Options], options: Sequence[str], quick: M
             given[name] = _parse_text(text, hints.get(name))
     values = check_values("", given, hints)
     require_homes(values)
-    return kind(**{**(quick if values.get("quick") else {}), **values})
+    return kind(**values)
 
 
 def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) -> Options:
@@ -90,18 +90,6 @@ def build_options(option: str, kind: type[Options], given: Mapping[str, Any]) ->
         raise BadInput(f"{option}: {error}") from error
 
 
-def parse_mapping(value: Any, short: str) -> dict[str, Any] | None:
-    """Return the value of an option as a mapping, None for null; a plain value is that of the name `short`.
-
-    A text in the words of the command line, {length:4,window:centred}, will do for a mapping.
-    """
-    if isinstance(value, str):
-        value = read(value.replace(":", ": "))
-    if value is None or isinstance(value, Mapping):
-        return None if value is None else dict(value)
-    return {short: value}
-
-
 def _is_list(hint: Any) -> bool:
     """Tell whether a type hint wants a list, or None."""
     kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
@@ -109,11 +97,17 @@ def _is_list(hint: Any) -> bool:
 
 
 def _parse_text(text: str, hint: Any) -> Any:
-    """Return the value of a text: JSON, or of a list the parts between commas, with or without brackets."""
-    try:
+    """Return the value of a text: JSON, the parts of a list between commas, or what bare words in brackets say.
+
+    {length:4,window:centred} is a mapping, for an option of any type.
+    """
+    with suppress(ValueError):
         return json.loads(text)
-    except ValueError:
-        if not _is_list(hint) or text.startswith("[") != text.endswith("]"):
-            return text
+    ends = text[:1] + text[-1:]
+    if hint is Any and ends in ("{}", "[]"):
+        with suppress(yaml.YAMLError):
+            return read(text.replace(":", ": ") if ends == "{}" else text)
+    if not _is_list(hint) or text.startswith("[") != text.endswith("]"):
+        return text
     parts = [part.strip() for part in text.removeprefix("[").removesuffix("]").split(",")]
     return parts if list[str] in (hint, *get_args(hint)) else [_parse_text(part, None) for part in parts]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -47,4 +46,4 @@ def results(folder: str | Path = "results") -> pd.DataFrame:
 
 
 def _tabulate(group: Group) -> pd.DataFrame:
-    return pd.DataFrame(map(asdict, map(describe_entry, find_entries(group).values())))
+    return pd.DataFrame(map(describe_entry, find_entries(group).values()))

@@ -92,7 +92,7 @@ def sort_options(options: Sequence[str]) -> tuple[CompareRequest, dict[str, list
     for name, given in (("methods", own), ("dataset", of_dataset)):
         if not any(option.startswith(f"{name}=") for option in given):
             raise BadInput(f"{name}= is missing: give names, as in methods=sad,hog dataset=folders; see vprbench list")
-    request = parse_options(CompareRequest, own, {})
+    request = parse_options(CompareRequest, own)
     of_methods: dict[str, list[str]] = {name: [] for name in request.methods}
     of_runs = [] if any(option.startswith("timing=") for option in options) else ["timing=quick"]
     for option, above, argument in rest:

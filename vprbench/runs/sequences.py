@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, replace
 from functools import partial
 from typing import Any
@@ -20,7 +20,7 @@ from vprbench.metrics.sequences import (
     sequence_scores,
     stretches,
 )
-from vprbench.plugins.options import build_options, parse_mapping
+from vprbench.plugins.options import build_options
 from vprbench.runs.record import Run
 from vprbench.runs.views import list_shown_queries, replace_scores, select_queries
 
@@ -95,7 +95,8 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
     of those of `Filter`. Raises BadInput for anything else.
     """
     found: list[Views] = []
-    if (given := parse_mapping(sequence, "length")) is not None:
+    if sequence is not None:
+        given = sequence if isinstance(sequence, Mapping) else {"length": sequence}
         lengths = given.get("length")
         lengths = [*lengths] if isinstance(lengths, list | tuple) else [lengths]
         if not lengths or len({*map(str, lengths)}) < len(lengths):
@@ -103,8 +104,8 @@ def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:
         each = (build_options("sequence", Sequences, {**given, "length": length}) for length in lengths)
         found += [partial(apply_sequences, options=options) for options in each]
     if filter not in (None, False):
-        given = {} if filter is True else parse_mapping(filter, "") or {}
-        if "" in given:
+        given = {} if filter is True else filter
+        if not isinstance(given, Mapping):
             raise BadInput(f"filter={filter}: give true, or a mapping of its options, as in filter={{back:0,ahead:2}}")
         found.append(partial(apply_filter, options=build_options("filter", Filter, given)))
     return tuple(found)

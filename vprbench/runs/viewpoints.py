@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.plugins.options import build_options, parse_mapping
+from vprbench.plugins.options import build_options
 
 _EXAMPLE = "views=[-0.1,0,0.1] or views={vertical:[-0.1,0,0.1],zoom:[1,1.1]}"
 
@@ -61,8 +62,9 @@ def parse_viewpoints(value: Any) -> Viewpoints | None:
 
     Raises BadInput for a value that is neither, and for impossible views.
     """
-    given = parse_mapping(value, "horizontal")
-    return None if given is None else build_options("views", Viewpoints, given)
+    if value is None:
+        return None
+    return build_options("views", Viewpoints, value if isinstance(value, Mapping) else {"horizontal": value})
 
 
 def record_viewpoints(dataset: Dataset, views: Viewpoints | None) -> Dataset:

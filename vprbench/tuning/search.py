@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import filelock
 import numpy as np
@@ -20,7 +20,6 @@ from optuna.trial import FrozenTrial, TrialState
 
 from vprbench import progress
 from vprbench.errors import BadInput
-from vprbench.metrics.intervals import WiderInterval, difference_interval
 from vprbench.plugins import registry
 from vprbench.report.plan import PLAN_FILE, read_plan
 from vprbench.runs import machine
@@ -32,37 +31,12 @@ from vprbench.tuning.space import PAPER, PARAMETERS, Values
 from vprbench.tuning.trial import Hits, encode_stretch, train_and_query
 
 Train = Callable[[Values, str, int], Hits]  # settings, name of the stretch, seed
+SeedHits = npt.NDArray[np.float64]  # (SEEDS, n_queries), expected hits
 
 JOURNAL = "journal.log"
 SEEDS = 5  # of the comparison with the paper
-AGREE = 4  # seeds of one sign, at least, for a verdict
 
-
-@dataclass(frozen=True)
-class Comparison:
-    """The best settings and the paper's on the places held out, both trained with the same seeds."""
-
-    best: npt.NDArray[np.float64]  # (n_seeds, n_queries), expected hits
-    paper: npt.NDArray[np.float64]
-
-    @property
-    def interval(self) -> WiderInterval | None:
-        """The 95 % interval of the difference over the queries, of each the mean over the seeds; None: too few."""
-        return difference_interval(self.best.mean(axis=0), self.paper.mean(axis=0))
-
-    @property
-    def differences(self) -> npt.NDArray[np.float64]:
-        """R@1 of best minus that of paper, by seed."""
-        return np.asarray(self.best.mean(axis=1) - self.paper.mean(axis=1))
-
-    @property
-    def verdict(self) -> Literal["better", "worse", "not told apart"]:
-        """Whether best is better or worse: the interval has to exclude 0, and nearly all seeds have to agree."""
-        if self.interval is not None and self.interval.low > 0 and sum(self.differences > 0) >= AGREE:
-            return "better"
-        if self.interval is not None and self.interval.high < 0 and sum(self.differences < 0) >= AGREE:
-            return "worse"
-        return "not told apart"
+optuna.logging.set_verbosity(optuna.logging.ERROR)  # or it logs every trial
 
 
 @dataclass(frozen=True)
@@ -73,9 +47,10 @@ class Found:
     searched: range  # of places
     checked: range
     folder: Path  # of the study
-    trials: tuple[FrozenTrial, ...]  # all that are stored, in the order of their settings
+    trials: tuple[FrozenTrial, ...]  # all that are stored
     best: Values
-    compared: Comparison
+    best_hits: SeedHits  # of the best settings on the places held out
+    paper_hits: SeedHits  # of the paper's, trained with the same seeds
 
 
 def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, Any]) -> Found:
@@ -99,23 +74,23 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
         "libraries": {**machine.list_library_versions(), "optuna": optuna.__version__},
     }
     folder = Path(settings.results).expanduser() / "search" / hash_content(origin)
-    with open_study(folder) as study, _open_executor(settings) as (executor, jobs):
+    with open_study(folder) as study, _open_executor(settings) as (executor, workers):
         stretches = {name: encode_stretch(part, encoder, name) for name, part in parts.items()}
 
         def train(values: Values, stretch: str, seed: int) -> Hits:
             arguments = {**method, **values, "seed": seed}
             return executor.submit(train_and_query, arguments, stretches[stretch]).result()
 
-        explore(study, train, settings.trials, settings.seed, jobs)
+        explore(study, train, settings.trials, settings.seed, workers)
         best = find_best(study).params
-        compared = compare_with_paper(train, best, settings.seed, jobs)
+        best_hits, paper_hits = compare_with_paper(train, best, settings.seed, workers)
         trials = tuple(list_trials(study))
-    return Found(settings, allowed.searched, allowed.checked, folder, trials, best, compared)
+    return Found(settings, allowed.searched, allowed.checked, folder, trials, best, best_hits, paper_hits)
 
 
 @contextmanager
 def open_study(folder: Path) -> Iterator[optuna.Study]:
-    """Open the study in a folder, or begin one; trials that a killed search was making count as cut off.
+    """Open the study in a folder, or begin one.
 
     Raises BadInput if another process has the study open or if its journal cannot be read.
     """
@@ -131,19 +106,16 @@ def open_study(folder: Path) -> Iterator[optuna.Study]:
                 )
             except (ValueError, KeyError, TypeError) as error:
                 raise BadInput(f"{journal} cannot be read ({error}): move it away to search anew") from error
-            for killed in study.get_trials(states=[TrialState.RUNNING]):
-                study.tell(killed.number, state=TrialState.FAIL)
             yield study
     except filelock.Timeout:
         raise BadInput(f"{folder} is in use by another search of the same settings: wait for its end") from None
 
 
-def explore(study: optuna.Study, train: Train, trials: int, seed: int, jobs: int) -> None:
-    """Try random settings, then a grid around the best of them, but none that the study holds already.
+def explore(study: optuna.Study, train: Train, trials: int, seed: int, workers: int) -> None:
+    """Try random settings, then a grid around the best of them, until the study holds so many trials.
 
     Raises RuntimeError if all trials fail.
     """
-    n_random = trials - trials // 3
 
     def objective(trial: optuna.Trial) -> float:
         settings = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in PARAMETERS}
@@ -155,30 +127,25 @@ def explore(study: optuna.Study, train: Train, trials: int, seed: int, jobs: int
         trial.set_user_attr("diverged", hits.diverged)
         return float(hits.expected.mean())
 
-    def report(study: optuna.Study, _: FrozenTrial) -> None:
-        progress.report("trying settings", len(list_trials(study)) / trials)
+    def report(_: optuna.Study, trial: FrozenTrial) -> None:
+        progress.report("trying settings", min(1.0, (trial.number + 1) / trials))
 
-    def try_all(stage: str, points: Sequence[Values]) -> None:
-        known = [*list_trials(study), *study.get_trials(states=[TrialState.WAITING])]
-        for point, values in enumerate(points):
-            if values not in [one.system_attrs["fixed_params"] for one in known]:
-                study.enqueue_trial(dict(values), {"stage": stage, "point": point})
+    def try_settings(stage: str, points: Iterable[Values], count: int) -> None:
+        """Try the first points that the study lacks, until it holds `count` trials."""
+        known = [one.system_attrs["fixed_params"] for one in list_trials(study)]
+        for values in islice((values for values in points if values not in known), max(0, count - len(known))):
+            study.enqueue_trial(dict(values), {"stage": stage})
         if waiting := study.get_trials(states=[TrialState.WAITING]):
-            study.optimize(objective, n_trials=len(waiting), n_jobs=jobs, catch=(Exception,), callbacks=[report])
+            study.optimize(objective, n_trials=len(waiting), n_jobs=workers, catch=(Exception,), callbacks=[report])
 
-    drawn = space.draw_settings(n_random, seed)
-    try_all("random", drawn)
-    grid = (values for values in space.list_grid(find_best(study, "random").params) if values not in drawn)
-    try_all("grid", list(islice(grid, trials - n_random)))
+    try_settings("random", space.draw_settings(seed), trials - trials // 3)
+    try_settings("grid", space.list_grid(find_best(study, "random").params), trials)
 
 
 def list_trials(study: optuna.Study) -> list[FrozenTrial]:
-    """Return the trials that gave a recall or failed, in the order of their settings, however many ran side by side.
-
-    A trial that the end of its process cut off is left out: it is tried again.
-    """
-    ended = [one for one in study.trials if one.state == TrialState.COMPLETE or "failed" in one.user_attrs]
-    return sorted(ended, key=lambda one: (one.user_attrs["stage"] == "grid", one.user_attrs["point"], one.number))
+    """Return the trials but those that the end of a search cut off: their settings are tried again."""
+    kept = TrialState.COMPLETE, TrialState.WAITING
+    return [one for one in study.trials if one.state in kept or "failed" in one.user_attrs]
 
 
 def find_best(study: optuna.Study, stage: str | None = None) -> FrozenTrial:
@@ -190,15 +157,15 @@ def find_best(study: optuna.Study, stage: str | None = None) -> FrozenTrial:
     return max(done, key=lambda one: one.value or 0.0)
 
 
-def compare_with_paper(train: Train, best: Values, seed: int, jobs: int) -> Comparison:
+def compare_with_paper(train: Train, best: Values, seed: int, workers: int) -> tuple[SeedHits, SeedHits]:
     """Train under the best settings and the paper's with the seeds after `seed`; raises what a training raises."""
     tasks = [(values, seed + 1 + n) for values in (best, PAPER) for n in range(SEEDS)]
-    answers: list[Hits] = []
-    with ThreadPoolExecutor(jobs) as threads:
-        for hits in threads.map(lambda task: train(task[0], "checked", task[1]), tasks):
-            answers.append(hits)
-            progress.report("best against paper", len(answers) / len(tasks))
-    return Comparison(*np.split(np.array([hits.expected for hits in answers]), 2))
+    hits: list[npt.NDArray[np.float64]] = []
+    with ThreadPoolExecutor(workers) as threads:
+        for answers in threads.map(lambda task: train(task[0], "checked", task[1]), tasks):
+            hits.append(answers.expected)
+            progress.report("best against paper", len(hits) / len(tasks))
+    return np.array(hits[:SEEDS]), np.array(hits[SEEDS:])
 
 
 @contextmanager
@@ -210,6 +177,6 @@ def _open_executor(settings: Settings) -> Iterator[tuple[Executor, int]]:
         with DaskExecutor(settings) as dask:
             yield dask.open_pool(), dask.count_slots()
         return
-    jobs = min(settings.jobs or settings.workers or count_cores(), count_cores())
-    with ProcessPoolExecutor(jobs, get_context("spawn"), machine.pin_threads, (1,)) as pool:
-        yield pool, jobs
+    workers = min(settings.workers or count_cores(), count_cores())
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        yield pool, workers

@@ -6,18 +6,15 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import optuna
+import numpy as np
 import yaml
-from optuna.distributions import BaseDistribution, FloatDistribution
 
 from vprbench.plugins import registry
-
-optuna.logging.set_verbosity(optuna.logging.ERROR)  # or it logs every trial
 
 Values = Mapping[str, float]  # of every parameter, by the name of the method's argument
 
 _DIGITS = 3  # significant ones, so that a person can type a setting
-_RINGS = 6  # steps of the grid to either side, at most: 28,560 points
+_STEPS = 6  # of the grid to either side, at most: 28,560 points
 
 
 @dataclass(frozen=True)
@@ -32,6 +29,12 @@ class Parameter:
     log: bool = False
     step: float | None = None  # of the grid; None: stays at the best random value
 
+    def draw(self, generator: np.random.Generator) -> float:
+        """Return a random value of its range."""
+        if self.log:
+            return float(np.exp(generator.uniform(np.log(self.low), np.log(self.high))))
+        return float(generator.uniform(self.low, self.high))
+
 
 _DECLARED = yaml.safe_load((registry.find_conf_folders()["vprbench"] / "search.yaml").read_text(encoding="utf-8"))
 
@@ -42,34 +45,27 @@ PARAMETERS = tuple(Parameter(name, **values) for name, values in _DECLARED["para
 PAPER: Values = {parameter.name: parameter.paper for parameter in PARAMETERS}
 
 
-def draw_settings(count: int, seed: int) -> list[Values]:
-    """Draw settings at random; a larger count of the same seed begins with the same ones."""
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed))
-    ranges: dict[str, BaseDistribution] = {
-        each.name: FloatDistribution(each.low, each.high, log=each.log) for each in PARAMETERS
-    }
-    settings: list[Values] = []
-    while len(settings) < count:
-        values = {name: _round(value) for name, value in study.ask(ranges).params.items()}
+def draw_settings(seed: int) -> Iterator[Values]:
+    """Yield settings at random, without end; the same ones for the same seed."""
+    generator = np.random.default_rng(seed)
+    while True:
+        values = {each.name: _round(each.draw(generator)) for each in PARAMETERS}
         if _is_possible(values):
-            settings.append(values)
-    return settings
+            yield values
 
 
 def list_grid(best: Values) -> Iterator[Values]:
     """Yield the points of a grid around settings, nearest first: those that differ in one parameter, in two, ..."""
-    stepped = [each for each in PARAMETERS if each.step is not None]
-    for ring in range(1, _RINGS + 1):
-        steps = itertools.product(range(-ring, ring + 1), repeat=len(stepped))
-        outer = [taken for taken in steps if max(map(abs, taken)) == ring]
-        for taken in sorted(outer, key=lambda taken: (sum(map(bool, taken)), sum(map(abs, taken)), taken)):
-            moved = {
-                each.name: _round(best[each.name] + n * (each.step or 0))
-                for each, n in zip(stepped, taken, strict=True)
-            }
-            values = {**best, **moved}
-            if _is_possible(values) and all(each.low <= values[each.name] <= each.high for each in stepped):
-                yield values
+    stepped = {each.name: each for each in PARAMETERS if each.step is not None}
+    steps = itertools.product(range(-_STEPS, _STEPS + 1), repeat=len(stepped))
+    _, *others = sorted(steps, key=lambda taken: (max(map(abs, taken)), sum(map(bool, taken)), sum(map(abs, taken))))
+    for taken in others:
+        moved = {
+            name: _round(best[name] + n * (stepped[name].step or 0)) for name, n in zip(stepped, taken, strict=True)
+        }
+        values = {**best, **moved}
+        if _is_possible(values) and all(each.low <= values[name] <= each.high for name, each in stepped.items()):
+            yield values
 
 
 def _is_possible(values: Values) -> bool:

@@ -8,28 +8,23 @@ from pathlib import Path
 import pandas as pd
 from optuna.trial import FrozenTrial
 
+from vprbench.metrics.intervals import difference_interval
 from vprbench.runs.machine import describe_machine, format_versions
 from vprbench.runs.rows import format_markdown
 from vprbench.storage.atomic import replace_text
 from vprbench.text import format_percent, format_signed_percent
-from vprbench.tuning.search import AGREE, SEEDS, Found
+from vprbench.tuning.search import SEEDS, Found
 from vprbench.tuning.settings import Settings
 from vprbench.tuning.space import METHOD, PARAMETERS, TITLE
-
-VERDICTS = {
-    "better": "the best settings are better",
-    "worse": "the paper's settings are better",
-    "not told apart": "best and paper cannot be told apart",
-}
 
 
 def write_report(found: Found, folder: Path) -> str:
     """Write the report and every trial into a folder; returns the text to print.
 
-    The names hold an unusual dataset and a quick search: search.md and search.csv, search-nordland.md, search-quick.md.
+    The names hold an unusual dataset: search.md and search.csv, search-nordland.md and search-nordland.csv.
     """
-    unusual = [found.settings.dataset] * (found.settings.dataset != Settings.dataset)
-    file = folder / "-".join(["search", *unusual, *["quick"] * found.settings.quick])
+    name = found.settings.dataset
+    file = folder / ("search" if name == Settings.dataset else f"search-{name}")
     text = format_report(found)
     replace_text(file.with_suffix(".csv"), format_trials(found))
     replace_text(file.with_suffix(".md"), text)
@@ -41,12 +36,11 @@ def format_report(found: Found) -> str:
     states = [_describe_state(trial) for trial in found.trials]
     n_random = sum(trial.user_attrs["stage"] == "random" for trial in found.trials)
     highest = format_percent(max(trial.value or 0.0 for trial in found.trials))
-    compared, ends = found.compared, found.compared.interval
+    recalls = found.best_hits.mean(axis=1), found.paper_hits.mean(axis=1)  # by seed
+    best, paper = (f"{format_percent(each.mean())} ± {format_percent(each.std(ddof=1))}" for each in recalls)
+    gains = recalls[0] - recalls[1]
+    ends = difference_interval(found.best_hits.mean(axis=0), found.paper_hits.mean(axis=0))
     interval = "-" if ends is None else f"{format_signed_percent(ends.low)}, {format_signed_percent(ends.high)}"
-    best, paper = (
-        f"{format_percent(recalls.mean())} ± {format_percent(recalls.std(ddof=1))}"
-        for recalls in (compared.best.mean(axis=1), compared.paper.mean(axis=1))
-    )
     parts = [
         "# Hyperparameter search",
         f"{len(states)} trials of {TITLE} on {found.settings.dataset}: {n_random} random, {len(states) - n_random} on "
@@ -57,12 +51,12 @@ def format_report(found: Found) -> str:
         format_markdown(_tabulate_parameters(found)),
         f"R@1 {highest} %, the highest of all trials on the queries that chose it: luck raises it.",
         "## Best against paper",
-        f"On {len(found.checked)} places held out, {compared.best.shape[1]} queries, {VERDICTS[compared.verdict]}: R@1 "
-        f"{best} % against {paper} %, difference {format_signed_percent(float(compared.differences.mean()))} "
-        f"[{interval}]; best is ahead with {sum(compared.differences > 0)} of {SEEDS} seeds.",
+        f"On {len(found.checked)} places held out, {found.best_hits.shape[1]} queries: R@1 {best} % against {paper} %, "
+        f"difference {format_signed_percent(gains.mean())} [{interval}]; best is ahead with {sum(gains > 0)} of "
+        f"{SEEDS} seeds.",
         "Both are trained with the same seeds, none of which chose the best; R@1 is mean ± standard deviation over "
-        "them, the 95 % interval that of the difference of the per-query means. Better needs an interval without 0 and "
-        f"{AGREE} seeds.",
+        "them, the 95 % interval that of the difference of the per-query means. An interval that holds 0 tells best "
+        "and paper not apart.",
         "## Run the best settings",
         f"```\n{format_command(found)}\n```",
         "## Origin",
