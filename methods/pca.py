@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ class PCA(Method):
     The components are learnt from the reference images by scikit-learn's PCA: the first `components`, or fewer, for
     n references differ in n - 1 directions at most and images have height * width pixels. An image that is the mean
     of the references, and every image if all references are equal, scores 0 everywhere.
-    `whiten` divides each component by its standard deviation. `seed` is for the randomized solver alone.
+    `whiten` divides each component by its standard deviation.
     The method of eigenfaces (Turk and Pentland 1991) on whole frames; the defaults are this project's own choice.
     """
 
@@ -41,8 +41,6 @@ class PCA(Method):
     patch: int = 7  # not for grey
     components: int = 128
     whiten: bool = False
-    solver: Literal["full", "randomized"] = "full"  # randomized: approximate, faster on large frames
-    seed: int = 0
 
     _map: Map | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -81,7 +79,7 @@ class PCA(Method):
         n_components = min(self.components, len(pixels) - 1, pixels.shape[1])
         if (pixels == pixels[0]).all():  # scikit-learn divides by their variance
             return pixels[0], np.empty((pixels.shape[1], 0))
-        pca = decomposition.PCA(n_components, svd_solver=self.solver, random_state=self.seed).fit(pixels)
+        pca = decomposition.PCA(n_components, svd_solver="full").fit(pixels)
         # Where references repeat, the last components are rounding noise, which whitening would make as large as any.
         rounding = pca.singular_values_[0] * max(pixels.shape) * np.finfo(np.float64).eps
         real = pca.singular_values_ > rounding

@@ -31,7 +31,7 @@ METHODS = {  # each is compared under as many seeds as make the cells
     "watched_signs": "RandomProjection\ncomponents: 256\ndirections: signs",
     "watched_flyhash": "FlyHash\nunits: 2000\nwinners: 100",
     "watched_flyhash_sparse": "FlyHash\nunits: 2000\nwinners: 20",
-    "watched_pca": "PCA\ncomponents: 16",
+    "watched_hyperdimensional_small": "HyperDimensional\ncomponents: 256",
     "watched_hyperdimensional": "HyperDimensional\ncomponents: 512",
 }
 N_WORKERS = 4

@@ -5,7 +5,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from vprbench.methods import flyhash, hyperdimensional, pca, random_projection
+from vprbench.methods import flyhash, hyperdimensional, random_projection
 
 _locks = []  # held until the process ends, however it does
 
@@ -39,10 +39,6 @@ class RandomProjection(_Watched, random_projection.RandomProjection):
 
 class FlyHash(_Watched, flyhash.FlyHash):
     """Winners among random sums."""
-
-
-class PCA(_Watched, pca.PCA):
-    """Principal components."""
 
 
 class HyperDimensional(_Watched, hyperdimensional.HyperDimensional):

@@ -46,7 +46,6 @@ def fitted(levels, **arguments):
         ({"components": 1}, 1e-5),
         ({"components": 20}, 1e-5),
         ({"components": 4, "whiten": True}, 1e-5),
-        ({"components": 4, "solver": "randomized"}, 1e-3),
     ],
 )
 def test_scores_equal_those_of_the_covariances_eigenvectors(arguments, tolerance):

@@ -16,7 +16,7 @@ from vprbench.report.report import Report
 from vprbench.runs.store import Store
 
 ASKED = ["compare", "timing=none", "threads=1", "name=mine"]
-METHODS = ["methods=sad,pca,cosplace", "seeds=2", "sad.patch=5"]
+METHODS = ["methods=sad,flyhash,cosplace", "seeds=2", "sad.patch=5"]
 ROUTE = {"places": 20, "first_query_place": 4}
 SPOILT = [*ASKED, "methods=sad", "dataset=synthetic", *(f"dataset.{name}={value}" for name, value in ROUTE.items())]
 UNDER = "corruptions=[noise-1,shift-3]"
@@ -55,15 +55,15 @@ def apart(compared, monkeypatch):
 
 def test_the_files_hold_the_asked_runs_in_their_order_and_say_nothing_of_a_paper(compared, apart):
     asked = [(each.method_name, each.seed) for each in compared[1].asked]
-    assert asked == [("sad", 0), ("pca", 0), ("pca", 1), ("cosplace", 0)]
+    assert asked == [("sad", 0), ("flyhash", 0), ("flyhash", 1), ("cosplace", 0)]
     recalls = [line for line in lines("mine.csv") if line["quantity"] == "recall_at_1"]
-    assert {line["row"] for line in recalls} == {"sad patch=5", "pca", "cosplace"}
+    assert {line["row"] for line in recalls} == {"sad patch=5", "flyhash", "cosplace"}
     values = [float(line["value"]) for line in recalls[:2]]
     assert values == sorted(values, reverse=True)
     assert (recalls[2]["row"], recalls[2]["mark"], recalls[2]["value"]) == ("cosplace", "not there", "")
     assert "ResNet50_2048_cosplace.pth" in recalls[2]["notes"]
     assert {line["mark"] for line in lines("mine.csv") if line["quantity"] == "query_cpu"} == {"not timed", "not there"}
-    assert sorted(line["method"] for line in lines("mine-runs.csv")) == ["pca", "pca", "sad patch=5"]
+    assert sorted(line["method"] for line in lines("mine-runs.csv")) == ["flyhash", "flyhash", "sad patch=5"]
     texts = [Path("results", f"mine.{ending}").read_text(encoding="utf-8") for ending in ("md", "tex", "html")]
     assert not any(word in text for text in texts[:2] for word in ("Table II", "ICRA", "GPU", "documentclass"))
     assert ("<title>mine</title>" in texts[2], "<h1>mine</h1>" in texts[2]) == (True, True)
@@ -76,7 +76,7 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
     assert main([*ASKED, *METHODS, *dataset(Path.cwd() if more else Path()), *more]) == 0
     assert not [each for each in apart.asked if each.method_name != "cosplace"]  # whose weights may be there by now
     shown = capsys.readouterr().out
-    first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "pca", "cosplace"))
+    first, second, third = (shown.index(f"\n{name} ") for name in ("sad patch=5", "flyhash", "cosplace"))
     assert max(first, second) < third
     assert " level with " in shown
 
@@ -84,7 +84,11 @@ def test_what_is_stored_is_shown_without_a_process_however_its_folder_is_called(
 def test_the_best_ten_places_of_each_query_are_written_for_every_run_or_as_many_as_asked_for(apart, monkeypatch):
     best = lines("mine-predictions.csv")
     assert len(best) == 3 * 24 * 10
-    assert {(line["method"], line["seed"]) for line in best} == {("sad patch=5", "0"), ("pca", "0"), ("pca", "1")}
+    assert {(line["method"], line["seed"]) for line in best} == {
+        ("sad patch=5", "0"),
+        ("flyhash", "0"),
+        ("flyhash", "1"),
+    }
     of_sad = [line for line in best if line["method"] == "sad patch=5" and line["rank"] == "1"]
     names = [(Path(line["query_image"]).name, Path(line["reference_image"]).name) for line in of_sad]
     assert names[1::2] == [(f"{place}.png", f"{place}.png") for place in range(1, 24, 2)]  # the others are noise
@@ -161,7 +165,7 @@ def test_a_sequence_says_of_runs_without_scores_what_to_do(apart, capsys, tmp_pa
     assert main([*ASKED, *METHODS, *asked]) == 0
     shown = capsys.readouterr().out
     assert "sad on folders kept no scores to make sequences of: run it with scores=true" in shown
-    assert "\npca " in shown
+    assert "\nflyhash " in shown
     assert main([*ASKED, "methods=sad", "sad.patch=5", *asked]) == 2
     assert "scores=true" in capsys.readouterr().err
 
