@@ -1,10 +1,10 @@
-"""Events are counted into frames chunk by chunk, and frames that are kept are those that were made."""
+"""Events are count_events into frames chunk by chunk, and frames that are kept are those that were made."""
 
 import numpy as np
 import pytest
 from event_recordings import by_chance, in_chunks
 
-from vprbench.api import Events, Images, Recording, cached_frames, counted, event_frames, hot_pixels
+from vprbench.api import Events, Images, Recording, cached_frames, count_events, event_frames, hot_pixels
 from vprbench.errors import BadInput
 
 SHAPE = (20, 30)
@@ -20,13 +20,13 @@ def counts_of(events, chosen):
 def test_windows_count_what_a_mask_of_times_counts_and_equal_numbers_one_slice_after_the_other(window_us, per_frame):
     events = by_chance(3000)
     first = int(events.t[0])
-    frames = list(counted(in_chunks(events), *SHAPE, window_us=window_us))
+    frames = list(count_events(in_chunks(events), *SHAPE, window_us=window_us))
     assert len(frames) == (events.t[-1] - first) // window_us
     for k, frame in enumerate(frames):
         start = first + k * window_us
         assert (frame.first_us, frame.last_us) == (start, start + window_us)
         assert np.array_equal(frame.counts, counts_of(events, (events.t >= start) & (events.t < start + window_us)))
-    frames = list(counted(in_chunks(events), *SHAPE, per_frame=per_frame))
+    frames = list(count_events(in_chunks(events), *SHAPE, per_frame=per_frame))
     assert len(frames) == 3000 // per_frame
     for k, frame in enumerate(frames):
         chosen = np.arange(k * per_frame, (k + 1) * per_frame)
@@ -40,7 +40,7 @@ def at(*times, x=0):
 
 
 def test_late_events_count_gaps_give_empty_frames_and_hot_pixels_stand_out_where_an_edge_does_not():
-    frames = list(counted([at(0, 100_000, 91_000, 450_000)], *SHAPE, window_us=100_000))
+    frames = list(count_events([at(0, 100_000, 91_000, 450_000)], *SHAPE, window_us=100_000))
     assert [int(frame.counts.sum()) for frame in frames] == [1, 2, 0, 0]
     totals = np.random.default_rng(0).poisson(20, SHAPE)
     totals[:, 12:15] = 900  # an edge that was always there
@@ -59,7 +59,7 @@ def test_late_events_count_gaps_give_empty_frames_and_hot_pixels_stand_out_where
 )
 def test_late_events_those_outside_the_sensor_long_gaps_and_no_window_are_refused(events, counting, named):
     with pytest.raises(BadInput, match=named):
-        list(counted([events], *SHAPE, **counting))
+        list(count_events([events], *SHAPE, **counting))
 
 
 def recording(events, reads):

@@ -67,7 +67,7 @@ def document(results):
                 *parts,
                 "## Machine",
                 f"{machine.Machine.of(here).line}.",
-                machine.format_software(here),
+                f"{machine.format_versions(here)}. {here['time_utc']}.",
                 f"Load average afterwards {loads}.",
             ]
         )

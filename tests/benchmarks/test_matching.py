@@ -6,7 +6,7 @@ from scipy.spatial.distance import cdist
 
 from vprbench.api import Search
 from vprbench.api.nearest import compare_bits, import_faiss, pack_bits
-from vprbench.metrics.ranking import best_places
+from vprbench.metrics.ranking import choose_best_places
 
 BEST = 100  # references that a library's search returns
 
@@ -25,7 +25,7 @@ def test_descriptors(full, measure, size):
 
     def named():  # in blocks, as a run asks a whole traverse
         for first in range(0, queries, 128):
-            best_places(exact.scores(codes[first : first + 128]), BEST)
+            choose_best_places(exact.scores(codes[first : first + 128]), BEST)
 
     ours, says = (named, f"best {BEST} named") if full > 128 else (lambda: exact.scores(codes), "all scores")
     beside = {f"faiss.IndexFlatIP, best {BEST}": lambda: library.search(codes, BEST)}

@@ -20,7 +20,7 @@ from vprbench.cli import main
 from vprbench.data import fetch
 from vprbench.errors import BadInput
 from vprbench.jobs import executors
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import compute_recall
 from vprbench.plugins import entries, registry
 from vprbench.runs.frame import tabulate_runs
 from vprbench.runs.store import Store
@@ -195,7 +195,9 @@ def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(caps
     with Path("results/sweep.csv").open(encoding="utf-8", newline="") as file:
         lines = [line for line in csv.DictReader(file) if line["quantity"] == "recall_at_1"]
     assert {line["row"]: line["seeds"] for line in lines} == {"sad": "0", "random_projection": "0 1"}
-    runs = {run.key: recall_at(run.outcome, 1).expected for run in Store(Path("results")).runs() if run.method != "sad"}
+    runs = {
+        run.key: compute_recall(run.outcome, 1).expected for run in Store(Path("results")).runs() if run.method != "sad"
+    }
     (value,) = (float(line["value"]) for line in lines if line["row"] == "random_projection")
     assert (len(runs), value) == (2, pytest.approx(50 * sum(runs.values())))
 

@@ -14,7 +14,7 @@ from sklearn import metrics as sklearn_metrics
 
 from vprbench.errors import BadInput
 from vprbench.metrics import accuracy
-from vprbench.metrics.ranking import outcome, ranked_places
+from vprbench.metrics.ranking import judge_scores, rank_places
 from vprbench.runs import frame, rows
 from vprbench.runs.store import Store
 
@@ -32,7 +32,7 @@ def scored(*rows):
 def best_matches(*matches):
     """One query per match: the score of its best place and whether that is right (None: no place is)."""
     right = {True: [0], False: [1], None: []}
-    return outcome(scored(*([best, -9, -9] for best, _ in matches)), places(*(right[r] for _, r in matches)))
+    return judge_scores(scored(*([best, -9, -9] for best, _ in matches)), places(*(right[r] for _, r in matches)))
 
 
 def random_case(seed, n_queries, n_places, levels):
@@ -50,7 +50,7 @@ WORKED = best_matches((0.9, True), (0.8, True), (0.7, False), (0.6, True), (0.5,
 @pytest.mark.parametrize("levels", [1, 2, 4])
 def test_hits_are_the_mean_worst_and_best_over_all_orders_of_tied_places(levels):
     scores, positives = random_case(levels, 20, 5, levels)
-    found = outcome(scores, positives)
+    found = judge_scores(scores, positives)
     for n in range(1, 7):
         hits = []
         for row, right in zip(scores, positives, strict=True):
@@ -59,9 +59,9 @@ def test_hits_are_the_mean_worst_and_best_over_all_orders_of_tied_places(levels)
                 ranked = sorted((place for place in order if row[place] > -INF), key=lambda p, r=row: -r[p])
                 orders.append(bool(set(ranked[:n]) & set(right.tolist())))
             hits.append((np.mean(orders), min(orders), max(orders)))
-        recall = accuracy.recall_at(found, n)
+        recall = accuracy.compute_recall(found, n)
         for way, wanted in zip(("expected", "pessimistic", "optimistic"), np.array(hits).T, strict=True):
-            assert accuracy.hits_at(found, n, way) == pytest.approx(wanted, abs=1e-12)
+            assert accuracy.count_hits(found, n, way) == pytest.approx(wanted, abs=1e-12)
             assert getattr(recall, way) == pytest.approx(wanted.mean(), abs=1e-12)
 
 
@@ -73,16 +73,16 @@ def test_hits_of_ties_across_the_boundary_follow_the_binomial_formula(above, tie
     row = np.zeros(30_000, np.float32)
     row[:above] = 2
     row[above : above + tied] = 1
-    found = outcome(row[None], [np.arange(above, above + correct)])
+    found = judge_scores(row[None], [np.arange(above, above + correct)])
     slots = n - above
     only_wrong = comb(tied - correct, slots) / comb(tied, slots) if slots > 0 else 1
-    assert accuracy.hits_at(found, n)[0] == pytest.approx(1 - only_wrong, abs=1e-13)
+    assert accuracy.count_hits(found, n)[0] == pytest.approx(1 - only_wrong, abs=1e-13)
 
 
 def test_recall_is_over_all_or_over_answerable_queries():
-    assert accuracy.recall_at(WORKED, 1) == accuracy.recall_at(WORKED, 1, "all")
-    assert accuracy.recall_at(WORKED, 1) == accuracy.Recall(3 / 5, 3 / 5, 3 / 5, 5)
-    assert accuracy.recall_at(WORKED, 1, "answerable") == accuracy.Recall(3 / 4, 3 / 4, 3 / 4, 4)
+    assert accuracy.compute_recall(WORKED, 1) == accuracy.compute_recall(WORKED, 1, "all")
+    assert accuracy.compute_recall(WORKED, 1) == accuracy.Recall(3 / 5, 3 / 5, 3 / 5, 5)
+    assert accuracy.compute_recall(WORKED, 1, "answerable") == accuracy.Recall(3 / 4, 3 / 4, 3 / 4, 4)
     flagged = [accuracy.Recall(0.5, 0.5, 0.5 + 1 / n, n).hangs_on_ties for n in (200, 199)]
     assert flagged == [False, True]  # half a point between the ways to break ties is not yet flagged
 
@@ -97,7 +97,7 @@ def test_recall_is_over_all_or_over_answerable_queries():
     ],
 )
 def test_scores_and_places_that_cannot_be_are_refused_by_name(scores, right, error, named):
-    for judge in (outcome, accuracy.pr_curve_multi):
+    for judge in (judge_scores, accuracy.pr_curve_multi):
         with pytest.raises(error, match=named):
             judge(scores, places(*right))
 
@@ -108,15 +108,15 @@ def test_the_single_match_curves_are_the_mean_over_all_choices_among_tied_places
     best = scores.max(axis=1)
     ties = [np.flatnonzero((row == row.max()) & (row > -INF)) for row in scores]
     choices = list(product(*(tied if len(tied) else [None] for tied in ties)))
-    curve = accuracy.pr_curve(outcome(scores, positives), "A")
+    curve = accuracy.compute_pr_curve(judge_scores(scores, positives), "A")
     for precision, recall, threshold in zip(curve.precision[1:], curve.recall[1:], curve.threshold[1:], strict=True):
         kept = [query for query in range(6) if best[query] >= threshold]
         right = [sum(chosen[query] in positives[query].tolist() for query in kept) for chosen in choices]
         assert precision == pytest.approx(np.mean(right) / len(kept), abs=1e-12)
         assert recall == pytest.approx(np.mean(right) / sum(len(row) > 0 for row in positives), abs=1e-12)
-    found = outcome(*random_case(seed, 60, 5, 6))
-    area_a, area_b = (accuracy.auc(accuracy.pr_curve(found, kind)) for kind in ("A", "B"))
-    assert area_a == pytest.approx(accuracy.recall_at(found, 1, "answerable").expected * area_b, abs=1e-12)
+    found = judge_scores(*random_case(seed, 60, 5, 6))
+    area_a, area_b = (accuracy.auc(accuracy.compute_pr_curve(found, kind)) for kind in ("A", "B"))
+    assert area_a == pytest.approx(accuracy.compute_recall(found, 1, "answerable").expected * area_b, abs=1e-12)
 
 
 def assert_that_of_scikit_learn(curve, right, scores):
@@ -135,7 +135,7 @@ def test_curve_b_and_its_areas_are_those_of_scikit_learn(decimals):
     random = np.random.default_rng(decimals)
     best, right = random.random(80).round(decimals).astype(np.float32), random.random(80) < 0.6
     found = best_matches(*zip(best.tolist(), right.tolist(), strict=True))
-    assert_that_of_scikit_learn(accuracy.pr_curve(found, "B"), right, best)
+    assert_that_of_scikit_learn(accuracy.compute_pr_curve(found, "B"), right, best)
     assert accuracy.auc_roc(found) == pytest.approx(sklearn_metrics.roc_auc_score(right, best), abs=1e-12)
 
 
@@ -163,24 +163,24 @@ NINES = scored([9, 0, 0], [8, 8, 0], [7, 0, 0])
             [29 / 48, 61 / 96, 29 / 36, 1 / 4, 3 / 4, 2 / 3, 1 / 2, 3 / 4],
         ),
         # nor does an answer whose best place ties with a wrong one
-        (outcome(NINES, places([0], [0], [0])), [53 / 72, 107 / 144, 53 / 60, 1 / 3, 5 / 6, 7 / 10, 1 / 2, 5 / 6]),
-        (outcome(NINES, places([0], [0, 1], [0])), [1, 1, 1, 1, 1, 1, None, 1]),
+        (judge_scores(NINES, places([0], [0], [0])), [53 / 72, 107 / 144, 53 / 60, 1 / 3, 5 / 6, 7 / 10, 1 / 2, 5 / 6]),
+        (judge_scores(NINES, places([0], [0, 1], [0])), [1, 1, 1, 1, 1, 1, None, 1]),
         (best_matches((0.9, True), (0.8, False)), [1 / 2, 1 / 2, 1, 1 / 2, 1 / 2, 1, 1, 2 / 3]),
-        (outcome(scored([1, 0], [-INF, -INF]), places([0], [0])), [1 / 2, 1 / 2, 1, 1 / 2, 1, 1, None, 2 / 3]),
+        (judge_scores(scored([1, 0], [-INF, -INF]), places([0], [0])), [1 / 2, 1 / 2, 1, 1 / 2, 1, 1, None, 2 / 3]),
         (best_matches((0.9, False), (0.8, False)), [0, 0, None, 0, 0, 0, None, 0]),
         (best_matches((0.9, None), (0.8, None)), [None] * 8),
-        (outcome(np.zeros((0, 3), np.float32), []), [None] * 8),
+        (judge_scores(np.zeros((0, 3), np.float32), []), [None] * 8),
     ],
 )
 def test_the_single_numbers_of_worked_cases(found, expected):
     """These are AP and area of curve A, AP of curve B, R@100P, P@100R, EP, AUC-ROC and F1."""
-    a, b = accuracy.pr_curve(found, "A"), accuracy.pr_curve(found, "B")
+    a, b = accuracy.compute_pr_curve(found, "A"), accuracy.compute_pr_curve(found, "B")
     areas = ((accuracy.average_precision, a), (accuracy.auc, a), (accuracy.average_precision, b))
     numbers = [None if curve is None else area(curve) for area, curve in areas]
     names = ("recall_at_full_precision", "precision_at_full_recall", "extended_precision", "auc_roc", "f1_max")
     numbers += [getattr(accuracy, name)(found) for name in names]
     assert numbers == pytest.approx(expected, abs=1e-12)
-    assert (accuracy.recall_at(found, 1) is None) == (expected[3] is None)
+    assert (accuracy.compute_recall(found, 1) is None) == (expected[3] is None)
 
 
 def test_pairs_of_worked_cases():
@@ -205,20 +205,20 @@ def test_numbers_of_scores_that_vpr_bench_stored_are_those_of_the_authors_and_sw
         scores, match, best = (arrays[f"{technique}__{name}"] for name in ("similarity", "match", "score"))
     with (CORRIDOR / "ground_truth.csv").open(newline="") as rows:
         positives = places(*(row["matching_refs"].split() for row in csv.DictReader(rows)))
-    found = outcome(scores, positives)
+    found = judge_scores(scores, positives)
     for n in (1, 5, 10, 20):
-        recall = accuracy.recall_at(found, n)
+        recall = accuracy.compute_recall(found, n)
         assert recall.expected == recall.pessimistic == recall.optimistic == expected[f"R@{n}"]
         assert recall.n_queries == expected["nq"]
     right = [int(place) in row for place, row in zip(match, positives, strict=True)]
-    np.testing.assert_array_equal(accuracy.hits_at(found, 1), right)
+    np.testing.assert_array_equal(accuracy.count_hits(found, 1), right)
     assert (found.top_tied == 1).all()
     np.testing.assert_allclose(found.best_score, best, rtol=1e-6, atol=0)
     of_references = [[query for query, row in enumerate(positives) if place in row] for place in range(scores.shape[1])]
-    swapped = accuracy.recall_at(outcome(scores.T, places(*of_references)), 1)
+    swapped = accuracy.compute_recall(judge_scores(scores.T, places(*of_references)), 1)
     assert expected["R@1"] != swapped.expected == expected["wrong_axis_R1"]
 
-    curve_a, curve_b = accuracy.pr_curve(found, "A"), accuracy.pr_curve(found, "B")
+    curve_a, curve_b = accuracy.compute_pr_curve(found, "A"), accuracy.compute_pr_curve(found, "B")
     assert accuracy.auc(curve_b) == pytest.approx(expected["aucpr_sklearn"], abs=1e-9)
     assert accuracy.average_precision(curve_b) == pytest.approx(expected["ap"], abs=1e-9)
     assert accuracy.auc(curve_a) == pytest.approx(expected["auc_A_exact"], abs=1e-9)
@@ -244,7 +244,7 @@ def test_the_best_places_of_a_query_are_right_from_the_tolerance_on_that_reaches
         ([1, 0], [-INF, -INF], [1], [0, 100], None, [0, 0]),
     ):
         given = np.array([best], np.int32), np.array([scored], np.float32), (np.array(right, np.int64),)
-        np.testing.assert_allclose(accuracy.hits_within(*given, tolerances, numbers)[:, 0], wanted)
+        np.testing.assert_allclose(accuracy.count_hits_within(*given, tolerances, numbers)[:, 0], wanted)
 
 
 def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth():
@@ -260,12 +260,12 @@ def test_hits_agree_with_whole_score_matrices_under_widened_ground_truth():
             widened = {near for place in places for near in range(place - tolerance, place + tolerance + 1)}
             best = [place for place in range(n_places) if row[place] == row.max() > -np.inf]
             expected.append(sum(place in widened for place in best) / len(best) if best else 0.0)
-        found = accuracy.hits_within(*ranked_places(matrix, n_places), positives, [tolerance])
+        found = accuracy.count_hits_within(*rank_places(matrix, n_places), positives, [tolerance])
         np.testing.assert_allclose(found[0], expected)
 
 
 def test_of_more_tied_places_than_are_ranked_the_first_stand_in_their_order():
-    places, scores = ranked_places(np.array([[0, 3, 0, 3, 3, 0, 5, 3]], np.float32), 4)
+    places, scores = rank_places(np.array([[0, 3, 0, 3, 3, 0, 5, 3]], np.float32), 4)
     assert (places.tolist(), scores.tolist()) == ([[6, 1, 3, 4]], [[5, 3, 3, 3]])
 
 

@@ -99,7 +99,7 @@ def test_the_filter_is_the_forward_pass_of_its_hidden_markov_model():
     low, high = np.quantile(scores[0].astype(float), [0.025, 0.975])
     moves = np.array([[float(-1 <= to - at <= 2) for to in range(N_PLACES)] for at in range(N_PLACES)])
     belief = np.ones(N_PLACES)
-    found = sequences.filtered_scores(scores, asked, sequences.stretches(N_QUERIES, QUERY_BREAKS))
+    found = sequences.filter_scores(scores, asked, sequences.stretches(N_QUERIES, QUERY_BREAKS))
     for query in range(N_QUERIES):
         prior = np.ones(N_PLACES) if query in (0, *QUERY_BREAKS) else belief @ moves
         belief = prior * np.exp(scores[query].astype(float) * math.log(3.0) / (high - low))
@@ -111,7 +111,7 @@ def test_the_filter_is_the_forward_pass_of_its_hidden_markov_model():
 def test_a_filter_that_is_lost_begins_anew_and_hopeless_queries_have_no_candidate():
     scores = np.full((4, 9), -np.inf, np.float32)
     scores[0, 0] = scores[1, 8] = scores[3, 4] = 1.0  # nobody moves 8 places, and query 2 is nowhere
-    found = sequences.filtered_scores(scores, sequences.Filter(), sequences.stretches(4, None))
+    found = sequences.filter_scores(scores, sequences.Filter(), sequences.stretches(4, None))
     assert [np.flatnonzero(row > -np.inf).tolist() for row in found] == [[0], [8], [], [4]]
     assert not np.isnan(found).any()
 

@@ -16,8 +16,8 @@ from vprbench.datasets.synthetic import synthetic
 from vprbench.errors import BadInput
 from vprbench.methods.sad import SAD
 from vprbench.metrics import ranking
-from vprbench.metrics.accuracy import hits_within
-from vprbench.metrics.ranking import outcome
+from vprbench.metrics.accuracy import count_hits_within
+from vprbench.metrics.ranking import judge_scores
 from vprbench.runs import frame, rows, scorers
 from vprbench.runs.answers import QueryScoring
 from vprbench.runs.stopwatch import Protocol, Stopwatch
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("surroundings")
 def test_queries_are_scored_in_order_in_blocks_and_have_the_outcome_of_the_whole_matrix(levels, monkeypatch):
     scores = table(300, 40, levels)
     dataset = journey(300, 40, [list(range(i % 4)) for i in range(300)])  # every fourth query has no right place
-    whole = outcome(scores, dataset.positives)
+    whole = judge_scores(scores, dataset.positives)
     for cells, size in ((scorers._BLOCK_CELLS, 128), (40 * 7, 7)):  # many places are scored in smaller blocks
         monkeypatch.setattr(scorers, "_BLOCK_CELLS", cells)
         monkeypatch.setattr(ranking, "_RANKED_CELLS", min(ranking._RANKED_CELLS, cells // 2))
@@ -137,7 +137,7 @@ def test_a_traverse_finds_places_as_far_off_as_it_is_shifted_and_beyond_the_map_
     order = np.argsort(-scores, axis=1, kind="stable")[:, :5]
     assert order[:30, 0].tolist() == [place + shift for place in range(5, 35)]
     tolerances = (0, max(0, abs(shift) - 1), abs(shift))
-    hits = hits_within(order, np.take_along_axis(scores, order, axis=1), dataset.positives, tolerances)
+    hits = count_hits_within(order, np.take_along_axis(scores, order, axis=1), dataset.positives, tolerances)
     assert hits[:, :30].mean(axis=1).tolist() == [float(shift == 0)] * 2 + [1.0]
     mapped = {image.tobytes() for image in dataset.references}
     assert not mapped & {image.tobytes() for image in dataset.queries[30:]}

@@ -16,7 +16,7 @@ from vprbench.api.images import Images
 from vprbench.api.nearest import pack_bits
 from vprbench.api.weights import Weights
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import outcome, ranked_places
+from vprbench.metrics.ranking import judge_scores, rank_places
 from vprbench.runs import descriptors, scorers
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.stopwatch import Protocol, Stopwatch
@@ -205,12 +205,12 @@ def test_a_large_map_is_asked_for_its_best_places_alone_when_scored_and_when_tim
     run = on(Shortlisted())
     twenty = Angles().encode(pictures(range(20))).astype(np.float64)
     scores = (twenty @ twenty.T).astype(np.float32)[np.arange(N_QUERIES)[:, None] % 20, np.arange(N_PLACES) % 20]
-    places, best = ranked_places(scores, DEPTH)
+    places, best = rank_places(scores, DEPTH)
     assert np.array_equal(run.top_places, places)
     np.testing.assert_allclose(run.top_scores, best, atol=1e-6)
     among = np.full((N_QUERIES, N_PLACES), -np.inf, np.float32)
     np.put_along_axis(among, places.astype(np.int64), run.top_scores, axis=1)
-    assert parts(run.outcome) == parts(outcome(among, run.positives))
+    assert parts(run.outcome) == parts(judge_scores(among, run.positives))
     assert (run.scores, "answers" in kinds(run)) == (None, False)
     (note,) = [note.text for note in run.notes if note.kind == "shortlist"]
     assert ("80 places" in note, f"best {DEPTH} " in note) == (True, True)

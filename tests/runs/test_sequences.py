@@ -8,7 +8,7 @@ from little import Lookup, a_run, journey
 from little_runs import QUICK, asked_for, table
 
 from vprbench.api import BadInput
-from vprbench.metrics.ranking import outcome, ranked_places
+from vprbench.metrics.ranking import judge_scores, rank_places
 from vprbench.metrics.sequences import Filter, Sequences
 from vprbench.runs import answers
 from vprbench.runs.get_or_run import get_or_run
@@ -23,9 +23,9 @@ def aligned(n=N, positives=None, **changes):
     """A run whose query i shows place i, with noise that a single score hardly exceeds."""
     scores = np.random.default_rng(0).normal(size=(n, n)).astype(np.float32) + 1.5 * np.eye(n, dtype=np.float32)
     right = tuple(np.array([place]) for place in range(n)) if positives is None else positives
-    places, values = ranked_places(scores, 5)
+    places, values = rank_places(scores, 5)
     known = {"n_references": n, "positives": right, "top_places": places, "top_scores": values, "scores": scores}
-    return a_run(**{**known, "outcome": outcome(scores, right), **changes})
+    return a_run(**{**known, "outcome": judge_scores(scores, right), **changes})
 
 
 def mean_hits(run):
@@ -60,7 +60,7 @@ def test_the_protocol_of_lens_counts_as_its_code_counts(length):
     positives = tuple(np.array([] if query % 9 == 4 else [max(0, query - 1)], np.int64) for query in range(N))
     run = aligned(query_breaks=np.array([10]), place_breaks=np.array([20]), positives=positives)
     scores = (run.scores - run.scores.min() + 1).astype(np.float32)
-    run = replace(run, scores=scores, outcome=outcome(scores, positives))
+    run = replace(run, scores=scores, outcome=judge_scores(scores, positives))
     (view,) = (seen(run) for seen in parse_views({"length": length, "window": "lens"}))
     assert mean_hits(view) == pytest.approx(as_lens_scores(scores, positives, length))
     found = np.isfinite(view.outcome.best_score)

@@ -16,7 +16,7 @@ from vprbench.api.descriptor import DescriptorMethod
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput, NotFittedError
-from vprbench.metrics.ranking import Outcome, outcome, ranked_places
+from vprbench.metrics.ranking import Outcome, judge_scores, rank_places
 from vprbench.plugins import networks
 from vprbench.runs.notes import Note
 from vprbench.runs.record import Failure, Run
@@ -201,9 +201,9 @@ def a_run(**changes):
 def answered(table, positives, /, depth=10, **changes):
     """Return a run that gave these scores, (n_queries, n_places)."""
     scores, right = np.asarray(table, np.float32), tuple(np.array(places, np.int64) for places in positives)
-    top_places, top_scores = ranked_places(scores, depth)
+    top_places, top_scores = rank_places(scores, depth)
     kept = {"scores": scores, "top_places": top_places, "top_scores": top_scores, "notes": ()}
-    return a_run(**{**kept, "positives": right, "outcome": outcome(scores, right), **changes})
+    return a_run(**{**kept, "positives": right, "outcome": judge_scores(scores, right), **changes})
 
 
 def a_failure(**changes):

@@ -6,7 +6,7 @@ import numpy as np
 from little import a_run, answered
 from PIL import Image
 
-from vprbench.report.page.page import Picture, Section, page
+from vprbench.report.page.page import Picture, Section, render_page
 from vprbench.report.selection import MethodRuns
 from vprbench.runs.notes import Note
 from vprbench.runs.thumbnails import Thumbnails
@@ -80,4 +80,4 @@ TABLE = """<table class="results"><caption><b>Table II.</b> Measured here.</capt
 def made_up_page(sections=None):
     figure = Picture("speed", "How long a query takes, on Abacus 9.", FIGURE)
     given = [journey_section(thumbnails=journey_thumbnails())] if sections is None else sections
-    return page(TABLE, [figure], given, made_from="Made from 3 stored runs.")
+    return render_page(TABLE, [figure], given, made_from="Made from 3 stored runs.")

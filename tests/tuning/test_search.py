@@ -71,7 +71,7 @@ def test_two_thirds_of_the_trials_are_random_and_the_rest_a_grid_around_the_best
         assert sum(one.params[name] != best.params[name] for name in PAPER) == 1
     assert [one.value for one in trials] == pytest.approx([recall(one.params) for one in trials])
     with open_study(tmp_path / "a") as study:
-        assert searching.find_best(study).value == max(one.value for one in trials)
+        assert searching.find_best_trial(study).value == max(one.value for one in trials)
     again, other = (tried(explored(tmp_path / name, 9, seed, workers=2)) for name, seed in (("b", 0), ("c", 1)))
     assert tried(trials) == again
     assert not any(mine == theirs for *_, mine in again for *_, theirs in other)

@@ -28,7 +28,7 @@ from .descriptor import require_new_places as require_new_places
 from .events import Counted as Counted
 from .events import Events as Events
 from .events import Recording as Recording
-from .events import counted as counted
+from .events import count_events as count_events
 from .events import event_frames as event_frames
 from .events import hot_pixels as hot_pixels
 from .frame_cache import cached_frames as cached_frames

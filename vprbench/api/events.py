@@ -62,7 +62,7 @@ class Counted(NamedTuple):
     last_us: int  # of a window its end, else the last event
 
 
-def counted(
+def count_events(
     chunks: Iterable[Events], height: int, width: int, *, window_us: int | None = None, per_frame: int | None = None
 ) -> Iterator[Counted]:
     """Yield one frame for each `window_us` microseconds from the first event on, or for each `per_frame` events.
@@ -136,11 +136,11 @@ def event_frames(
     window_us: int | None = None,
     per_frame: int | None = None,
 ) -> tuple[Images, Micros]:
-    """Return the frames of a recording, `counted`, and the middle of each in microseconds, (n,).
+    """Return the frames of a recording, `count_events`, and the middle of each in microseconds, (n,).
 
     Levels are counts, 255 stands for more; those of `hot_pixels` are 0. Frames are kept in VPRBENCH_EVENTS, or a folder
     in the user's cache, and counted again where `what` (plain JSON, all that decides about the events) differs. Raises
-    what `counted` does, and BadInput for a recording without a whole frame.
+    what `count_events` does, and BadInput for a recording without a whole frame.
     """
     shape = (recording.height, recording.width)
     text = json.dumps([_FORMAT, dict(what), shape, window_us, per_frame], sort_keys=True)
@@ -148,7 +148,7 @@ def event_frames(
     row = np.dtype([("middle_us", "<i8"), ("levels", "u1", shape)])
     if not path.is_file():
         progress.report(f"events of {recording.name} are counted", 0.0)
-        _keep(path, counted(recording.events(), *shape, window_us=window_us, per_frame=per_frame), row)
+        _keep(path, count_events(recording.events(), *shape, window_us=window_us, per_frame=per_frame), row)
     n = (path.stat().st_size - 8 * recording.height * recording.width) // row.itemsize
     if not n:
         raise BadInput(f"{recording.name} holds no whole frame: ask for a shorter window or for fewer events a frame")

@@ -209,7 +209,7 @@ class Images(Sequence[Image]):
         names, in_files = self.names, self._files is not None
         whole = cache(lambda: self.fingerprint().encode())
         stamp = self._stamp or (lambda i: b"" if in_files else whole())
-        content = self._content or (lambda i: b"" if in_files else _pixels(self._read(i)))
+        content = self._content or (lambda i: b"" if in_files else _serialise_pixels(self._read(i)))
         images = Images(
             lambda i: change(self._read(i), names[i]),
             names,
@@ -243,11 +243,11 @@ class Images(Sequence[Image]):
         their pixels. Raises BadInput for a file that cannot be read.
         """
         if self._in_memory or (pixels and self._files is not None):
-            return _codes(hashlib.sha256(_pixels(image)).digest() for image in self)
+            return _pack_codes(hashlib.sha256(_serialise_pixels(image)).digest() for image in self)
         files, content = self.file_hashes(), self._content
         if files is None or content is None:
-            return None if files is None else _codes(sha256 for _, sha256 in files)
-        return _codes(hashlib.sha256(sha256 + content(i)).digest() for i, (_, sha256) in enumerate(files))
+            return None if files is None else _pack_codes(sha256 for _, sha256 in files)
+        return _pack_codes(hashlib.sha256(sha256 + content(i)).digest() for i, (_, sha256) in enumerate(files))
 
     def fingerprint(self, hashed: list[FileHash] | None = None) -> str:
         """Return a hash that changes when images are added, removed, renamed, reordered or replaced.
@@ -265,7 +265,7 @@ class Images(Sequence[Image]):
         elif files is None:
             most = len(self) if self._in_memory else _FINGERPRINT_SAMPLE
             for i in np.linspace(0, len(self) - 1, min(len(self), most)).astype(int).tolist():
-                digest.update(_pixels(self._read(i)))
+                digest.update(_serialise_pixels(self._read(i)))
         return digest.hexdigest()
 
     def content_hash(self) -> str:
@@ -280,7 +280,7 @@ class Images(Sequence[Image]):
                 digest.update(hashlib.sha256(self._content(i)).digest())
         elif files is None:
             for i in range(len(self)):
-                digest.update(hashlib.sha256(_pixels(self._read(i))).digest())
+                digest.update(hashlib.sha256(_serialise_pixels(self._read(i))).digest())
         return digest.hexdigest()
 
     def _read_chunk(self, start: int) -> list[Image]:
@@ -292,7 +292,7 @@ def names_hash(*lists: Sequence[str]) -> hashlib._Hash:
     return hashlib.sha256("\n".join(chain(*lists)).encode(errors="surrogateescape"))
 
 
-def codes_to_compare(one: Images, other: Images) -> tuple[Codes, Codes] | None:
+def hash_images_of_both(one: Images, other: Images) -> tuple[Codes, Codes] | None:
     """Return the codes of the content of two sequences, by pixels if one of them is in memory; None if one is computed.
 
     Raises BadInput for a file that cannot be read.
@@ -302,10 +302,10 @@ def codes_to_compare(one: Images, other: Images) -> tuple[Codes, Codes] | None:
     return None if codes[0] is None or codes[1] is None else (codes[0], codes[1])
 
 
-def _codes(hashes: Iterable[bytes]) -> Codes:
+def _pack_codes(hashes: Iterable[bytes]) -> Codes:
     """Return the first eight bytes of each SHA-256 as a number."""
     return np.frombuffer(b"".join(hashes), ">u8")[::4].astype(np.uint64)
 
 
-def _pixels(image: Image) -> bytes:
+def _serialise_pixels(image: Image) -> bytes:
     return repr(image.shape).encode() + image.tobytes()

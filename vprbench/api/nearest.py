@@ -70,12 +70,12 @@ class Nearest:
     places: Numbers  # (n_queries, n), -1 where there is none
 
 
-def rows_together(vectors: Vectors) -> int:
+def count_rows_together(vectors: Vectors) -> int:
     """Return how many vectors are compared at once: up to 64 MiB."""
     return max(1, CELLS // int(vectors.shape[1]))
 
 
-def inner_products(rows: Vectors, codes: Vectors) -> Vectors:
+def compute_inner_products(rows: Vectors, codes: Vectors) -> Vectors:
     """Return the inner products of codes with vectors, (n_queries, n_rows).
 
     numpy's product is the fastest on two cores, for one query and for many: beside it were measured PyTorch's product
@@ -86,18 +86,18 @@ def inner_products(rows: Vectors, codes: Vectors) -> Vectors:
     return codes @ rows.T
 
 
-def find_best(codes: Codes, n: int, images: Compared) -> Nearest:
+def find_nearest(codes: Codes, n: int, images: Compared) -> Nearest:
     """Return the `n` best places for each of the codes."""
     best = Nearest(np.full((len(codes), n), -np.inf, np.float32), np.full((len(codes), n), -1, np.int64))
-    for block in parts(images.n_images, images.together):
-        for queries in parts(len(codes), max(1, CELLS // (block.stop - block.start))):
+    for block in cut_into_parts(images.n_images, images.together):
+        for queries in cut_into_parts(len(codes), max(1, CELLS // (block.stop - block.start))):
             known = Nearest(best.similarity[queries], best.places[queries])
             found = _add_candidates(known, *_find_candidates(codes[queries], known, images, block))
             best.similarity[queries], best.places[queries] = found.similarity, found.places
     return best
 
 
-def best_places(queries: Numbers, similarity: Vectors, places: Numbers, n_queries: int, n: int) -> Nearest:
+def choose_nearest(queries: Numbers, similarity: Vectors, places: Numbers, n_queries: int, n: int) -> Nearest:
     """Return the `n` best places of each query; a place is worth the most similar of its images.
 
     What was found is a query's number, a similarity and a place each, in any order.
@@ -115,7 +115,7 @@ def best_places(queries: Numbers, similarity: Vectors, places: Numbers, n_querie
     return best
 
 
-def parts(n: int, size: int) -> Iterator[slice]:
+def cut_into_parts(n: int, size: int) -> Iterator[slice]:
     """Yield the slices that cut `n` into parts of `size`, the last one shorter."""
     for first in range(0, n, size):
         yield slice(first, min(first + size, n))
@@ -150,7 +150,7 @@ def _nth_best(scores: Vectors, places: Numbers | None, n: int) -> Vectors:
 def _add_candidates(known: Nearest, rows: Numbers, similarity: Vectors, places: Numbers) -> Nearest:
     """Return the best of the known places of each query and of candidates: query, similarity and place of each."""
     own, columns = np.nonzero(known.places >= 0)
-    return best_places(
+    return choose_nearest(
         np.concatenate([own, rows]),
         np.concatenate([known.similarity[own, columns], similarity]),
         np.concatenate([known.places[own, columns], places]),

@@ -18,10 +18,10 @@ from vprbench.api.nearest import (
     Compared,
     Numbers,
     Vectors,
-    best_places,
-    find_best,
-    parts,
-    rows_together,
+    choose_nearest,
+    count_rows_together,
+    cut_into_parts,
+    find_nearest,
 )
 from vprbench.api.search_indexes import (
     FEWEST_OF_CODES,
@@ -119,7 +119,7 @@ class Search:
         if self._blocks is None:
             return self._index.similarity(codes, 0, len(self.references))
         scores = np.full((len(codes), self._n_places), -np.inf, np.float32)
-        for queries in parts(len(codes), CELLS // _TOGETHER):
+        for queries in cut_into_parts(len(codes), CELLS // _TOGETHER):
             for block in self._blocks:
                 similarity = self._index.similarity(codes[queries], block.first, block.last)
                 best = np.maximum.reduceat(similarity[:, block.order], block.starts, axis=1)
@@ -135,21 +135,22 @@ class Search:
         """
         codes = self._require_codes(codes)
         if self.rerank or isinstance(self._index, Retrieving):
-            best = best_places(*self._retrieve(codes), len(codes), n)
+            best = choose_nearest(*self._retrieve(codes), len(codes), n)
         elif self.kind == "exact":
-            best = find_best(codes, n, replace(self._compare(self._index, self._shown), exactly=self._multiply_pairs))
+            compared = replace(self._compare(self._index, self._shown), exactly=self._multiply_pairs)
+            best = find_nearest(codes, n, compared)
         else:
-            best = find_best(codes, n, self._compare(self._index, self._shown))
+            best = find_nearest(codes, n, self._compare(self._index, self._shown))
         return best.similarity, best.places
 
     def split_codes(self, codes: Vectors) -> Iterator[Vectors]:
         """Yield `codes` in parts whose scores take up to 64 MiB."""
-        for queries in parts(len(codes), max(1, CELLS // self._n_places)):
+        for queries in cut_into_parts(len(codes), max(1, CELLS // self._n_places)):
             yield codes[queries]
 
     def _compare(self, index: Exact, places: Numbers | None) -> Compared:
         """Return how an index compares all images; without `places`, images are found."""
-        return Compared(len(self.references), rows_together(self.references), places, index.similarity, None)
+        return Compared(len(self.references), count_rows_together(self.references), places, index.similarity, None)
 
     def _multiply_pairs(self, codes: Vectors, queries: Numbers, images: Numbers) -> Vectors:
         from vprbench.api.pairs import multiply_pairs  # here, for it needs PyTorch
@@ -167,7 +168,7 @@ class Search:
         if isinstance(self._index, Retrieving):
             similarity, images = self._index.retrieve(codes, self._neighbours)
         else:
-            found = find_best(codes, self._neighbours, self._compare(self._index, None))
+            found = find_nearest(codes, self._neighbours, self._compare(self._index, None))
             similarity, images = found.similarity, found.places
         rows, columns = np.nonzero(images >= 0)
         chosen = images[rows, columns]
@@ -226,7 +227,7 @@ class _Block:
 
 
 def _blocks_of_places(places: npt.NDArray[np.int64]) -> Iterator[_Block]:
-    for images in parts(len(places), _TOGETHER):
+    for images in cut_into_parts(len(places), _TOGETHER):
         order = np.argsort(places[images], kind="stable")
         shown, starts = np.unique(places[images][order], return_index=True)
         yield _Block(images.start, images.stop, order, starts, shown)

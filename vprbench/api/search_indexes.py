@@ -16,12 +16,12 @@ from vprbench.api.nearest import (
     Vectors,
     Words,
     compare_bits,
-    find_best,
+    compute_inner_products,
+    count_rows_together,
+    cut_into_parts,
+    find_nearest,
     import_faiss,
-    inner_products,
     pack_bits,
-    parts,
-    rows_together,
 )
 
 Kind = Literal["exact", "sq8", "hnsw", "ivfpq", "rabitq", "binary", "binary_hnsw"]
@@ -48,7 +48,7 @@ class Exact:
 
     def similarity(self, codes: Vectors, first: int, last: int) -> Vectors:
         """Return the inner products with images `first` to `last`, (n_queries, last - first)."""
-        return inner_products(self._references[first:last], codes)
+        return compute_inner_products(self._references[first:last], codes)
 
 
 class EightBits(Exact):
@@ -61,7 +61,7 @@ class EightBits(Exact):
     def __init__(self, references: Vectors) -> None:
         faiss = import_faiss()
         n_images, n_dimensions = references.shape
-        blocks = [*parts(n_images, rows_together(references))]
+        blocks = [*cut_into_parts(n_images, count_rows_together(references))]
         extremes = [extreme(references[rows], 0) for rows in blocks for extreme in (np.min, np.max)]
         quantiser = faiss.ScalarQuantizer(n_dimensions, faiss.ScalarQuantizer.QT_8bit)
         quantiser.train(np.stack([np.min(extremes, 0), np.max(extremes, 0)]))
@@ -78,7 +78,7 @@ class EightBits(Exact):
         found = np.empty((len(codes), last - first), np.float32)
         stepped, together = codes * self._step, max(1, CELLS // codes.shape[1])
         floats = np.empty((min(last - first, together), codes.shape[1]), np.float32)
-        for images in parts(last - first, together):
+        for images in cut_into_parts(last - first, together):
             numbers = self._codes[first + images.start : first + images.stop]
             floats[: len(numbers)] = numbers
             found[:, images] = stepped @ floats[: len(numbers)].T
@@ -104,7 +104,7 @@ def build_graph(references: Vectors) -> Retrieving:
     index = faiss.index_factory(references.shape[1], "HNSW32", faiss.METRIC_INNER_PRODUCT)
     index.hnsw.efSearch = _CANDIDATES  # faiss takes more where more neighbours are asked for
     with _use_one_thread(faiss):
-        for images in parts(len(references), max(1, _ADDED // references.shape[1])):
+        for images in cut_into_parts(len(references), max(1, _ADDED // references.shape[1])):
             index.add(references[images])
     return Retrieving(index, references.nbytes + _count_link_bytes(index.hnsw))
 
@@ -143,7 +143,7 @@ def build_lists(kind: Kind, references: Vectors, probes: int) -> Retrieving:
     else:
         lists.qb = 4  # bits of each dimension of a query
     index.train(_sample(references, n_trained))
-    for images in parts(n_images, rows_together(references)):
+    for images in cut_into_parts(n_images, count_rows_together(references)):
         index.add(references[images])
     return Retrieving(index, n_images * (lists.code_size + 8) + 4 * length * n_learnt)  # 8: the number of an image
 
@@ -161,7 +161,7 @@ class Bits(Retrieving):
         faiss = import_faiss()
         n_images, n_dimensions = references.shape
         self._thresholds: Vectors = np.median(_sample(references, _SAMPLED_BITS // n_dimensions), axis=0)
-        blocks = parts(n_images, rows_together(references))
+        blocks = cut_into_parts(n_images, count_rows_together(references))
         self._graph = faiss.index_binary_factory(-(-n_dimensions // 64) * 64, "BHNSW16") if with_graph else None
         if self._graph is None:
             self._codes = np.empty((n_images, -(-n_dimensions // 64)), np.uint64)
@@ -188,7 +188,7 @@ class Bits(Retrieving):
             lambda bits, first, last: compare_bits(bits, self._codes[first:last]),
             None,
         )
-        best = find_best(bits, n, compared)  # of equals the lower image
+        best = find_nearest(bits, n, compared)  # of equals the lower image
         return np.where(best.places >= 0, self._estimate_similarity(-best.similarity), -np.inf), best.places
 
     def _take_bits(self, vectors: Vectors) -> Words:

@@ -46,7 +46,7 @@ def encode_blocks(
     threads = _count_threads() if len(images) >= _FEWEST else 1
     size, n_bytes = min(_BLOCK, -(-len(images) // threads)), _BLOCKS_BYTES // (threads + 1)  # one is being gathered
     if threads == 1:
-        for start, block in _blocks(images, size, n_bytes):
+        for start, block in _read_blocks(images, size, n_bytes):
             encode(block, codes[start : start + len(block)])
         return
     worked: list[float] = []  # seconds of all threads
@@ -59,7 +59,7 @@ def encode_blocks(
     started, read = time.perf_counter(), images.reading.seconds
     with ThreadPoolExecutor(threads - 1) as pool:
         others: list[Future[None]] = []
-        for start, block in _blocks(images, size, n_bytes):
+        for start, block in _read_blocks(images, size, n_bytes):
             own = codes[start : start + len(block)]
             if sum(not other.done() for other in others) < threads - 1:
                 others.append(pool.submit(work, block, own))
@@ -77,7 +77,7 @@ def _count_threads() -> int:
     return torch.get_num_threads()
 
 
-def _blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:
+def _read_blocks(images: Images, size: int, n_bytes: int) -> Iterator[tuple[int, list[Image]]]:
     """Yield the images, read in order, in lists with the number of the first; `size` or `n_bytes` end a list."""
     block: list[Image] = []
     held = 0

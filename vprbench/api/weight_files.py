@@ -41,7 +41,7 @@ def read_weights(path: Path) -> dict[str, Any]:
 
     Raises BadInput for a file that is damaged, no dictionary, or not to be read without running code out of it.
     """
-    content = _content(path)
+    content = _read_content(path)
     if not isinstance(content, dict):
         raise BadInput(f"{path} holds one {type(content).__name__}; wanted a dictionary of tensors: give another file")
     return content
@@ -75,13 +75,13 @@ def state_dict(path: Path, *keys: str) -> dict[str, Tensor]:
 
 def read_tensor(path: Path) -> Tensor:
     """Return the one tensor that a file of torch holds; raises BadInput for anything else."""
-    content = _content(path)
+    content = _read_content(path)
     if not is_plain(content):
         raise BadInput(f"{path} holds one {type(content).__name__}; wanted one tensor: give another file")
     return content.detach()  # type: ignore[no-any-return]
 
 
-def _content(path: Path) -> Any:
+def _read_content(path: Path) -> Any:
     """Return the content of a file, whatever it is; raises BadInput if it cannot be read safely."""
     try:
         with path.open("rb") as file:
@@ -104,7 +104,7 @@ def _content_of_safetensors(path: Path) -> dict[str, Tensor]:
     try:
         return load_file(path)
     except (OSError, SafetensorError, ValueError, KeyError) as error:
-        raise BadInput(f"{path} cannot be read as safetensors ({_reason(error)}): get it anew") from error
+        raise BadInput(f"{path} cannot be read as safetensors ({_find_reason(error)}): get it anew") from error
 
 
 def _content_of_torch(path: Path, mmap: bool) -> Any:
@@ -131,10 +131,10 @@ def _content_of_torch(path: Path, mmap: bool) -> Any:
             "and give tensors.pth in its place"
         ) from error
     except Exception as error:  # torch raises whatever a damaged file leads it to
-        raise BadInput(f"{path} cannot be read as a file of torch ({_reason(error)}): get it anew") from error
+        raise BadInput(f"{path} cannot be read as a file of torch ({_find_reason(error)}): get it anew") from error
 
 
-def _reason(error: Exception) -> str:
+def _find_reason(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 

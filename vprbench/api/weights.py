@@ -127,9 +127,9 @@ def load_strictly(module: nn.Module, tensors: Mapping[str, Tensor], path: Path, 
             if name not in wanted and not _is_counter(name) and not any(fnmatchcase(name, p) for p in optional)
         ],
         "other": [
-            f"{name} {_kind(tensors[name])}, wanted {_kind(there)}"
+            f"{name} {_describe_values(tensors[name])}, wanted {_describe_values(there)}"
             for name, there in wanted.items()
-            if name in tensors and _kind(tensors[name]) != _kind(there)
+            if name in tensors and _describe_values(tensors[name]) != _describe_values(there)
         ],
     }
     _refuse(problems, path, module)
@@ -183,7 +183,7 @@ def _is_counter(name: str) -> bool:
     return name.split(".")[-1] == _COUNTER
 
 
-def _kind(values: torch.Tensor) -> str:
+def _describe_values(values: torch.Tensor) -> str:
     """Return the shape and whether the numbers are whole, which have to agree between a file and a module."""
     return f"{'real' if values.is_floating_point() else 'whole'} {tuple(values.shape)}"
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Counts, Outcome, PlacesPerQuery, checked_scores, find_right_cells
+from vprbench.metrics.ranking import Counts, Outcome, PlacesPerQuery, find_right_cells, require_scores
 
 Values = npt.NDArray[np.float64]
 Ties = Literal["expected", "pessimistic", "optimistic"]
@@ -33,7 +33,7 @@ class Recall:
         return 200 * queries > self.n_queries
 
 
-def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"] = "all") -> Recall | None:
+def compute_recall(outcome: Outcome, n: int, denominator: Literal["all", "answerable"] = "all") -> Recall | None:
     """Return the share of queries with a right place among the best `n`; None if none has a right place.
 
     The field uses two denominators: all queries (VPR-methods-evaluation, VPR-Bench and others) and the
@@ -45,11 +45,11 @@ def recall_at(outcome: Outcome, n: int, denominator: Literal["all", "answerable"
     if not n_answerable:
         return None
     ways: tuple[Ties, ...] = ("expected", "pessimistic", "optimistic")
-    expected, pessimistic, optimistic = (float(hits_at(outcome, n, ties).sum()) / n_queries for ties in ways)
+    expected, pessimistic, optimistic = (float(count_hits(outcome, n, ties).sum()) / n_queries for ties in ways)
     return Recall(expected, pessimistic, optimistic, n_queries)
 
 
-def hits_at(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
+def count_hits(outcome: Outcome, n: int, ties: Ties = "expected") -> Values:
     """Return per query, (n_queries,), the chance that a right place is among its best `n`.
 
     With a places above the best right one, t tied with it and g of those right, r = n - a slots are left for
@@ -97,7 +97,7 @@ class PRCurve:
     threshold: Values
 
 
-def pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
+def compute_pr_curve(outcome: Outcome, kind: Literal["A", "B"]) -> PRCurve | None:
     """Return the curve of the best match of each query; None if its recall has no denominator.
 
     A match counts as retrieved where its score reaches the threshold. A wrong one is a false positive, also
@@ -122,7 +122,7 @@ def pr_curve_multi(scores: Scores, positives: PlacesPerQuery) -> PRCurve | None:
     The arguments are those of `ranking.outcome`, and so is what is raised. Pairs that are no candidates are never
     retrieved. Needs about 50 bytes of memory per pair.
     """
-    scores = checked_scores(scores)
+    scores = require_scores(scores)
     right_cells = find_right_cells(scores.shape, positives)
     if not len(right_cells):
         return None
@@ -228,7 +228,7 @@ def auc_roc(outcome: Outcome) -> float | None:
 
 def f1_max(outcome: Outcome) -> float | None:
     """Return the highest harmonic mean of precision and recall on curve A; None if that is undefined."""
-    curve = pr_curve(outcome, "A")
+    curve = compute_pr_curve(outcome, "A")
     if curve is None:
         return None
     both = curve.precision + curve.recall
@@ -238,7 +238,7 @@ def f1_max(outcome: Outcome) -> float | None:
 _FAR = np.iinfo(np.int64).max  # of a query without a right place
 
 
-def hits_within(
+def count_hits_within(
     top_places: npt.NDArray[np.integer],
     top_scores: Scores,
     positives: PlacesPerQuery,

@@ -18,10 +18,10 @@ from vprbench.metrics.accuracy import (
     auc,
     auc_roc,
     average_precision,
+    compute_pr_curve,
+    count_hits,
     extended_precision,
     f1_max,
-    hits_at,
-    pr_curve,
     pr_curve_multi,
     precision_at_full_recall,
     recall_at_full_precision,
@@ -139,11 +139,13 @@ def _make_cost(name: str, words: str, unit: str, one: float, meaning: str) -> Me
 
 def _make_recall(n: int) -> Metric:
     meaning = f"the share of queries with a right place among the best {n}"
-    return average_metric(f"recall_at_{n}", f"R@{n}", lambda answers, ties: hits_at(answers.outcome, n, ties), meaning)
+    return average_metric(
+        f"recall_at_{n}", f"R@{n}", lambda answers, ties: count_hits(answers.outcome, n, ties), meaning
+    )
 
 
 def _compute_area_under_a(outcome: Outcome, area: Callable[[PRCurve], float]) -> float | None:
-    curve = pr_curve(outcome, "A")
+    curve = compute_pr_curve(outcome, "A")
     return None if curve is None else area(curve)
 
 

@@ -47,7 +47,7 @@ class Outcome:
         return len(self.best_score)
 
 
-def outcome(scores: Scores, positives: PlacesPerQuery) -> Outcome:
+def judge_scores(scores: Scores, positives: PlacesPerQuery) -> Outcome:
     """Rank the right places of each query by `scores` (n_queries, n_places), higher means more alike.
 
     `positives` holds per query the right places. A score of -inf marks a place that is no candidate. Real scores of
@@ -55,7 +55,7 @@ def outcome(scores: Scores, positives: PlacesPerQuery) -> Outcome:
     scores that are no real numbers, NaN or +inf and for places that do not exist, ValueError for shapes that do not
     fit.
     """
-    scores = checked_scores(scores)
+    scores = require_scores(scores)
     n_queries, n_places = scores.shape
     right = find_right_cells(scores.shape, positives)
     n_rows = max(1, _BLOCK_CELLS // n_places)
@@ -90,7 +90,7 @@ def concatenate(outcomes: Sequence[Outcome]) -> Outcome:
     return Outcome(**joined, n_places=outcomes[0].n_places)
 
 
-def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
+def choose_best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
     """Return the `depth` best places of each query in ascending order, (n_queries, depth); of equals the lower ones."""
     worst = np.partition(scores, -depth, axis=1)[:, -depth, None]
     chosen = scores >= worst
@@ -104,20 +104,20 @@ def best_places(scores: Scores, depth: int) -> npt.NDArray[np.int64]:
     return np.asarray(cells.reshape(len(scores), depth) % scores.shape[1])
 
 
-def ranked_places(scores: Scores, depth: int) -> tuple[npt.NDArray[np.int32], Scores]:
+def rank_places(scores: Scores, depth: int) -> tuple[npt.NDArray[np.int32], Scores]:
     """Return the `depth` best places of each query, or all if they are fewer, best first, and their scores.
 
     Both are (n_queries, depth); of equals the lower places come first.
     """
     depth, rows = min(depth, scores.shape[1]), max(1, _RANKED_CELLS // scores.shape[1])
-    parts = [best_places(scores[first : first + rows], depth) for first in range(0, len(scores), rows)]
+    parts = [choose_best_places(scores[first : first + rows], depth) for first in range(0, len(scores), rows)]
     best = np.concatenate(parts) if parts else np.empty((0, depth), np.int64)
     values = np.take_along_axis(scores, best, axis=1)
     order = np.argsort(-values, axis=1, kind="stable")
     return np.take_along_axis(best, order, axis=1).astype(np.int32), np.take_along_axis(values, order, axis=1)
 
 
-def checked_scores(scores: Scores, first_query: int = 0) -> Scores:
+def require_scores(scores: Scores, first_query: int = 0) -> Scores:
     """Return `scores` (n_queries, n_places) as float32; raises BadInput if one is no real number, NaN or +inf.
 
     `first_query` is the number of the first row in the whole traverse, for the message.

@@ -183,7 +183,7 @@ def _sum_ranges(values: Doubles, low: npt.NDArray[np.int64], high: npt.NDArray[n
     return np.asarray(sums[:, high] - sums[:, low])
 
 
-def filtered_scores(scores: Scores, options: Filter, queries: Stretches) -> Scores:
+def filter_scores(scores: Scores, options: Filter, queries: Stretches) -> Scores:
     """Return the logarithm of the belief in each place after each query, (n_queries, n_places).
 
     Nothing of later queries is used. The belief starts anew, equal for all places, with each part of the journey, of

@@ -48,7 +48,7 @@ def parse_places(places: str) -> list[tuple[int, int]] | None:
     return found if all(first <= last for first, last in found) else None
 
 
-def find_tuned_queries(dataset: Dataset, tuned_on: Mapping[str, Any]) -> list[int]:
+def list_tuned_queries(dataset: Dataset, tuned_on: Mapping[str, Any]) -> list[int]:
     """Return the queries that show frames by which a method was tuned, or whose right places do; ascending.
 
     `tuned_on` is the declaration of the method. The content of its file identifies a frame, or its pixels if it is in

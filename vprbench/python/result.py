@@ -16,7 +16,7 @@ from vprbench.api.arrays import Scores
 from vprbench.api.dataset import Dataset
 from vprbench.data.doctor import step_in_dictionary_order
 from vprbench.errors import BadInput
-from vprbench.metrics.accuracy import PRCurve, hits_at, pr_curve, recall_at
+from vprbench.metrics.accuracy import PRCurve, compute_pr_curve, compute_recall, count_hits
 from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import WiderInterval
 from vprbench.metrics.ranking import outcome_of_best
@@ -88,7 +88,7 @@ class Result:
             reach = np.arange(-tolerance, tolerance + 1)
             wider = [np.flatnonzero(np.isin(numbers, np.add.outer(numbers[right], reach))) for right in run.positives]
             answers = outcome_of_best(run.top_scores, run.top_places.astype(np.int64), wider, answers.n_places)
-        found = recall_at(answers, n)
+        found = compute_recall(answers, n)
         return NAN if found is None else found.expected
 
     def top(self, n: int = 5) -> npt.NDArray[np.int64]:
@@ -104,7 +104,7 @@ class Result:
 
         Raises BadInput if no query has a right place.
         """
-        curve = pr_curve(self.run.outcome, "A")
+        curve = compute_pr_curve(self.run.outcome, "A")
         if curve is None:
             raise BadInput(f"{self.name}: precision and recall are undefined, for no query has a right place")
         return curve
@@ -148,7 +148,7 @@ class Result:
                 "score": answers.scores[:, 0],
                 "right_places": [right.tolist() for right in self.run.positives],
                 "rank": answers.ranks,
-                "hit": hits_at(self.run.outcome, 1) if self.run.is_judged else NAN,
+                "hit": count_hits(self.run.outcome, 1) if self.run.is_judged else NAN,
                 "margin": answers.margins,
             }
         )

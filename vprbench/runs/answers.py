@@ -19,7 +19,7 @@ from vprbench.api.method import Method, require_codes
 from vprbench.api.nearest import Nearest
 from vprbench.api.search import Audit
 from vprbench.errors import BadInput
-from vprbench.metrics.ranking import Outcome, checked_scores, concatenate, outcome, outcome_of_best, ranked_places
+from vprbench.metrics.ranking import Outcome, concatenate, judge_scores, outcome_of_best, rank_places, require_scores
 from vprbench.runs.descriptors import DescriptorCache
 from vprbench.runs.scorers import Answer, QueryScorer, choose_block_size, encode_sample
 from vprbench.runs.stopwatch import Stopwatch
@@ -102,15 +102,15 @@ class QueryScoring:
         """Keep the outcome, the best places and, of a small map, the scores of the next queries."""
         right = self._positives[self._done : self._done + n_queries]
         if isinstance(answer, Nearest):
-            scores, places = checked_scores(answer.similarity, self._done), _fill_missing(answer.places)
+            scores, places = require_scores(answer.similarity, self._done), _fill_missing(answer.places)
             self._outcomes.append(outcome_of_best(scores, answer.places, right, self._n_places))
         else:
             wanted, shape = (n_queries, self._n_places), np.shape(answer)
             if shape != wanted:
                 raise BadInput(f"the method gave scores of shape {shape}; wanted {wanted}, one for each place")
-            all_scores = checked_scores(answer, self._done)
-            self._outcomes.append(outcome(all_scores, right))
-            places, scores = ranked_places(all_scores, self._depth)
+            all_scores = require_scores(answer, self._done)
+            self._outcomes.append(judge_scores(all_scores, right))
+            places, scores = rank_places(all_scores, self._depth)
             if self.scores is not None:
                 self.scores[self._done : self._done + n_queries] = all_scores
         self._places.append(places)

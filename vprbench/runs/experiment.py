@@ -13,7 +13,7 @@ from vprbench.api.method import Method
 from vprbench.data.doctor import check_dataset
 from vprbench.errors import BadInput
 from vprbench.plugins import loose, networks, registry
-from vprbench.plugins.tuned_places import find_tuned_queries
+from vprbench.plugins.tuned_places import list_tuned_queries
 from vprbench.progress import show_progress
 from vprbench.runs import machine, stream
 from vprbench.runs.corruption import corrupt_queries
@@ -134,7 +134,7 @@ def examine_dataset(experiment: Experiment) -> Experiment:
     request, clean = experiment.request, experiment.clean
     warnings = check_dataset(clean, bool(request.list_views()))
     dataset = replace(experiment.dataset, notes=(*clean.notes, *warnings))
-    return replace(experiment, dataset=dataset, tuned_queries=find_tuned_queries(clean, request.tuned_on))
+    return replace(experiment, dataset=dataset, tuned_queries=list_tuned_queries(clean, request.tuned_on))
 
 
 def _show_queries(clean: Dataset, request: RunRequest) -> Dataset:

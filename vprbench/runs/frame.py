@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from vprbench.metrics.accuracy import hits_within, recall_at
+from vprbench.metrics.accuracy import compute_recall, count_hits_within
 from vprbench.metrics.catalogue import METRICS, RECALLS
 from vprbench.runs.machine import Machine
 from vprbench.runs.notes import DISTURBED
@@ -118,9 +118,9 @@ def _list_facts(result: Run | Failure, metrics: Sequence[str]) -> dict[str, Any]
 
 def list_numbers(run: Run, metrics: Sequence[str] = ()) -> Numbers:
     """Return one run as unrounded numbers, under names that hold their unit, with more `metrics` by their names."""
-    first, answerable = recall_at(run.outcome, 1), recall_at(run.outcome, 1, "answerable")
+    first, answerable = compute_recall(run.outcome, 1), compute_recall(run.outcome, 1, "answerable")
     interval, others = estimate_recall_interval([run]), without_tuning_places(run)
-    elsewhere = None if others is None else recall_at(others.outcome, 1)
+    elsewhere = None if others is None else compute_recall(others.outcome, 1)
     interval_elsewhere = None if others is None else estimate_recall_interval([others])
     return {
         **_compute_metrics(run, [f"recall_at_{n}" for n in RECALLS]),
@@ -166,7 +166,7 @@ def recall_at_1_within(run: Run) -> dict[int, float | None]:
     if not run.outcome.answerable.any():
         return dict.fromkeys(wider)
     more = [k - own for k in wider]
-    hits = hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
+    hits = count_hits_within(run.top_places, run.top_scores, run.positives, more, run.place_numbers)
     return {k: float(share) for k, share in zip(wider, hits.mean(axis=1), strict=True)}
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.accuracy import count_hits
 from vprbench.metrics.ranking import Counts
 from vprbench.runs.record import Run
 
@@ -50,8 +50,8 @@ def judge_answers(run: Run) -> Answers:
     right_places, right_scores, margins, bounds = map(
         np.array, zip(*(_find_margin(run, query) for query in range(len(outcome))), strict=True)
     )
-    verdicts = np.where(hits_at(outcome, 1, "optimistic") > 0, TIED, WRONG)
-    verdicts[hits_at(outcome, 1, "pessimistic") > 0] = RIGHT
+    verdicts = np.where(count_hits(outcome, 1, "optimistic") > 0, TIED, WRONG)
+    verdicts[count_hits(outcome, 1, "pessimistic") > 0] = RIGHT
     verdicts[~outcome.answerable] = UNANSWERABLE
     if not run.is_judged:
         verdicts[:], margins = UNJUDGED, scores[:, 0] - scores[:, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import compute_recall
 from vprbench.metrics.catalogue import METRICS, RECALLS
 from vprbench.runs.frame import Numbers, format_label, list_numbers, recall_at_1_within
 from vprbench.runs.record import Run
@@ -66,7 +66,7 @@ def describe_wider_recall(run: Run) -> str | None:
 
 
 def _format_recall(run: Run, numbers: Numbers) -> str:
-    recall = recall_at(run.outcome, 1)
+    recall = compute_recall(run.outcome, 1)
     if recall is None:
         return "undefined (no query has a right place)"
     ties = " ties!" if recall.hangs_on_ties else ""

@@ -15,7 +15,7 @@ from vprbench.metrics.sequences import (
     Filter,
     Sequences,
     Stretches,
-    filtered_scores,
+    filter_scores,
     local_contrast,
     sequence_scores,
     stretches,
@@ -85,7 +85,7 @@ def apply_filter(run: Run, options: Filter) -> Run:
     options = replace(options, back=options.back * step, ahead=options.ahead * step)
     gaps = "" if options.gaps == "break" else f", gaps {options.gaps}"
     text = f"topological, moves {options.back} to {options.ahead}, ratio {options.ratio:g}{gaps}"
-    return replace_scores(run, filtered_scores(_require_scores(run), options, queries), {"filter": text}, _MEMORY)
+    return replace_scores(run, filter_scores(_require_scores(run), options, queries), {"filter": text}, _MEMORY)
 
 
 def parse_views(sequence: Any, filter: Any = None) -> tuple[Views, ...]:

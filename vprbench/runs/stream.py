@@ -12,10 +12,10 @@ from vprbench.api.adaptation import adapt_traverse
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import BadInput
-from vprbench.metrics.accuracy import hits_at
+from vprbench.metrics.accuracy import count_hits
 from vprbench.metrics.catalogue import METRICS
 from vprbench.metrics.intervals import Values, share_interval
-from vprbench.metrics.ranking import concatenate, outcome
+from vprbench.metrics.ranking import concatenate, judge_scores
 from vprbench.runs.record import Run
 from vprbench.runs.scorers import choose_block_size
 from vprbench.runs.stopwatch import Stopwatch, make_synchroniser
@@ -73,8 +73,8 @@ def grow_map(experiment: Experiment) -> list[dict[str, Any]]:
             answerable = np.flatnonzero(earliest < n)
             blocks = np.split(answerable, range(size, len(answerable), size))
             right = [[dataset.positives[query][dataset.positives[query] < n] for query in block] for block in blocks]
-            found = concatenate([outcome(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
-            hits = hits_at(found, 1)
+            found = concatenate([judge_scores(method.match(codes[b]), r) for b, r in zip(blocks, right, strict=True)])
+            hits = count_hits(found, 1)
             stops.append(_describe_stop(n, hits, hits[earliest[answerable] < first], seconds))
             seconds = []
     return stops

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vprbench.api.arrays import Scores
-from vprbench.metrics.ranking import Outcome, outcome, ranked_places
+from vprbench.metrics.ranking import Outcome, judge_scores, rank_places
 
 if TYPE_CHECKING:
     from vprbench.runs.record import Run
@@ -41,11 +41,11 @@ def replace_scores(run: Run, scores: Scores, protocol: Mapping[str, Any], window
 
     `protocol` joins that of the run, which tells the view from the run. Raises BadInput as `ranking.outcome` does.
     """
-    places, values = ranked_places(scores, run.top_places.shape[1])
+    places, values = rank_places(scores, run.top_places.shape[1])
     return replace(
         run,
         protocol={**run.protocol, **protocol},
-        outcome=outcome(scores, run.positives),
+        outcome=judge_scores(scores, run.positives),
         top_places=places,
         top_scores=values,
         scores=scores,

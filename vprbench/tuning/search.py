@@ -82,7 +82,7 @@ def search(settings: Settings, method: Mapping[str, Any], dataset: Mapping[str, 
             return executor.submit(train_and_query, arguments, stretches[stretch]).result()
 
         explore(study, train, settings.trials, settings.seed, workers)
-        best = find_best(study).params
+        best = find_best_trial(study).params
         best_hits, paper_hits = compare_with_paper(train, best, settings.seed, workers)
         trials = tuple(list_trials(study))
     return Found(settings, allowed.searched, allowed.checked, folder, trials, best, best_hits, paper_hits)
@@ -139,7 +139,7 @@ def explore(study: optuna.Study, train: Train, trials: int, seed: int, workers: 
             study.optimize(objective, n_trials=len(waiting), n_jobs=workers, catch=(Exception,), callbacks=[report])
 
     try_settings("random", space.draw_settings(seed), trials - trials // 3)
-    try_settings("grid", space.list_grid(find_best(study, "random").params), trials)
+    try_settings("grid", space.list_grid(find_best_trial(study, "random").params), trials)
 
 
 def list_trials(study: optuna.Study) -> list[FrozenTrial]:
@@ -148,7 +148,7 @@ def list_trials(study: optuna.Study) -> list[FrozenTrial]:
     return [one for one in study.trials if one.state in kept or "failed" in one.user_attrs]
 
 
-def find_best(study: optuna.Study, stage: str | None = None) -> FrozenTrial:
+def find_best_trial(study: optuna.Study, stage: str | None = None) -> FrozenTrial:
     """Return the trial with the highest recall, of equals the first; raises RuntimeError if all failed."""
     trials = [one for one in list_trials(study) if stage in (None, one.user_attrs["stage"])]
     done = [one for one in trials if one.state == TrialState.COMPLETE]

@@ -16,8 +16,8 @@ from vprbench.api.dataset import Dataset
 from vprbench.api.images import Images
 from vprbench.api.method import Method
 from vprbench.errors import TrainingDivergedError
-from vprbench.metrics.accuracy import hits_at
-from vprbench.metrics.ranking import outcome
+from vprbench.metrics.accuracy import count_hits
+from vprbench.metrics.ranking import judge_scores
 from vprbench.plugins import registry
 from vprbench.runs import machine
 
@@ -57,8 +57,8 @@ def train_and_query(arguments: Mapping[str, Any], stretch: Stretch) -> Hits:
         method.fit(Images.from_arrays([]), stretch.places)
     except TrainingDivergedError as error:
         return Hits(np.zeros(len(stretch.queries)), str(error))
-    ranked = outcome(method.match(adapt_traverse(method, stretch.queries)), stretch.positives)
-    return Hits(hits_at(ranked, 1))
+    ranked = judge_scores(method.match(adapt_traverse(method, stretch.queries)), stretch.positives)
+    return Hits(count_hits(ranked, 1))
 
 
 def _encode(images: Images, method: Method, name: str) -> npt.NDArray[Any]:

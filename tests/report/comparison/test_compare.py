@@ -11,7 +11,7 @@ from small_plan import install, lines, quick_figures
 
 import vprbench
 from vprbench.cli import main
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import compute_recall
 from vprbench.report.report import Report
 from vprbench.runs.store import Store
 
@@ -206,7 +206,7 @@ def spoilt(tmp_path_factory):
 def spoilt_runs():
     """Return the stored runs and their R@1 by their corruption."""
     runs = {run.config["corruption"]: run for run in Store(Path("results")).runs()}
-    return runs, {name: recall_at(run.outcome, 1).expected for name, run in runs.items()}
+    return runs, {name: compute_recall(run.outcome, 1).expected for name, run in runs.items()}
 
 
 @pytest.mark.extended

@@ -13,7 +13,7 @@ from little import answered
 from playwright.sync_api import expect, sync_playwright
 from report_page import SAD_WRONG, journey_run, journey_section, made_up_page, place_colour, query_colour
 
-from vprbench.report.page.page import Picture, Section, page
+from vprbench.report.page.page import Picture, Section, render_page
 from vprbench.report.selection import MethodRuns
 from vprbench.report.table import formats
 
@@ -213,7 +213,7 @@ def test_margins_that_are_infinite_missing_or_bounded_say_so_and_sort_to_their_e
     scores = [[0.5, 0.25, 0.125], [0.5, no, 0.25], [0.5, no, no], [0.5, 0.25, 0.0], [no, no, no], [0.5, 0.25, 0.0]]
     bounded = replace(answered([[0.875, 0.75, 0.5, 0.25]], [[3]], depth=2), scores=None)
     sections = [one(answered(scores, [[0], [1], [0], [1], [0], []])), one(bounded, "Bounded")]
-    tab = reader.read(page("", [], sections))
+    tab = reader.read(render_page("", [], sections))
     choose(tab, kind="all queries")
     assert listed(tab) == [1, 3, 0, 2, 4, 5]
     choose(tab, order=HIGHEST)
@@ -232,7 +232,7 @@ def test_without_a_ground_truth_each_query_shows_its_best_five_places_by_score_a
         scores[query, [query, query + 1]] = first, second
     of_a, of_b = (answered(table, [[]] * 3, protocol={"ground_truth": "none"}) for table in (scores, scores[:, ::-1]))
     both = Section("Journey", (MethodRuns("SAD", (of_a,)), MethodRuns("HOG", (of_b,))), None)
-    tab = reader.read(page("<table></table>", [], [both]))
+    tab = reader.read(render_page("<table></table>", [], [both]))
     orders = {"by margin, lowest first": [0, 2, 1], HIGHEST: [1, 2, 0], ROUTE: [0, 1, 2]}
     orders |= {"by score, lowest first": [1, 0, 2], "by score, highest first": [2, 0, 1]}
     for order, queries in orders.items():
@@ -301,7 +301,7 @@ def text():
     other = one(journey_run(dict.fromkeys(range(30), 0.25)), "Other")
     pictures = [Picture(name, "What is drawn.", made.FIGURE) for name in ("speed", "recall")]
     sections = [journey_section(thumbnails=made.journey_thumbnails()), other]
-    return page(formats.to_html(made_table.table()), pictures, sections)
+    return render_page(formats.to_html(made_table.table()), pictures, sections)
 
 
 @pytest.fixture

@@ -41,7 +41,7 @@ def test_the_page_holds_its_table_figures_and_sentences_and_allows_nothing_else(
     assert Image.open(io.BytesIO(picture)).size == (1200, 500)
     sentences = "How long a query takes, on Abacus 9.", "Made from 3 stored runs.", report.TRAINING_TIME, report.METHOD
     assert [told for told in sentences if told not in parsed.text] == []
-    without_runs = report.page(TABLE, [], [Section("Journey", (), None)])
+    without_runs = report.render_page(TABLE, [], [Section("Journey", (), None)])
     assert (TABLE in without_runs, "query by query" in without_runs) == (True, False)
     addresses = [a[name] for _, a in parsed.elements for name in ("src", "href", "action", "srcset") if name in a]
     assert len(addresses) > 5
@@ -65,7 +65,7 @@ def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_writte
     names = {"query_names": (HOSTILE,) * made.N_QUERIES, "reference_names": (HOSTILE,) * made.N_PLACES}
     spoilt = Section(HOSTILE, (MethodRuns(HOSTILE, (run,)),), made.journey_thumbnails(**names))
     drawn = [Picture(HOSTILE, HOSTILE, b"")]
-    text = report.page("", drawn, [spoilt], title=HOSTILE, made_from=HOSTILE)
+    text = report.render_page("", drawn, [spoilt], title=HOSTILE, made_from=HOSTILE)
     harmless, parsed = Parsed(made_up_page()), Parsed(text)
     assert HOSTILE not in text
     assert len(parsed.all("script")) == len(harmless.all("script"))
@@ -73,14 +73,14 @@ def test_hostile_names_are_text_everywhere_and_those_that_are_no_text_are_writte
     told, _ = contents(text)
     assert told["queryNames"][0] == told["title"] == told["runs"][0]["name"] == HOSTILE
     run = journey_run(SAD_WRONG, notes=(Note("dataset", "folder caf\udce9"),))
-    text = report.page("", [], [section(run, title="caf\udce9")])
+    text = report.render_page("", [], [section(run, title="caf\udce9")])
     assert "folder caf?" in text
     text.encode()
 
 
 def test_a_section_of_two_datasets_is_refused():
     with pytest.raises(ValueError, match="Journey are of different images"):
-        report.page("", [], [section(journey_run({}, 0), journey_run({}, 1, fingerprint="e" * 64))])
+        report.render_page("", [], [section(journey_run({}, 0), journey_run({}, 1, fingerprint="e" * 64))])
 
 
 def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_those_that_are_not_kept():
@@ -89,7 +89,7 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
     assert text.count(frame) == 1
     assert contents(text)[1]["places"]["15"] == frame
     first_two = answered([[0.5, 0.25, 0.125, 0, 0, 0], [0.25, 0.5, 0.125, 0, 0, 0]], [[4], [1]])
-    _, kept = contents(report.page("", [], [section(first_two, thumbnails=made.journey_thumbnails())]))
+    _, kept = contents(report.render_page("", [], [section(first_two, thumbnails=made.journey_thumbnails())]))
     assert ({*kept["places"]}, len(kept["queries"])) == ({"0", "1", "2", "4"}, 2)
     told, kept = contents(made_up_page([section(journey_run({}, n_references=120))]))
     assert told["framesMissing"].startswith("The frames of this dataset are not stored")
@@ -109,7 +109,7 @@ def test_a_frame_stands_in_the_page_once_if_a_query_shows_it_and_the_page_names_
 def test_a_page_shows_so_many_frames_at_most_and_those_of_wrong_answers_first(monkeypatch):
     sections = [journey_section(title=title, thumbnails=made.journey_thumbnails()) for title in ("one", "other")]
     monkeypatch.setattr(report, "MOST_FRAMES", 24)
-    parsed = Parsed(report.page("", [], sections))
+    parsed = Parsed(report.render_page("", [], sections))
     for number, told in enumerate(parsed.data("answers")):
         kept = parsed.data(f"frames-{number}")
         queries = {query for query, frame in enumerate(kept["queries"]) if frame}
@@ -153,8 +153,8 @@ def test_the_page_lists_the_protocol_each_machine_once_with_versions_and_runs_an
     browsed = journey_section()
     seeds = (journey_run({}, 0, notes=(Note("answers", "other answers"),)), journey_run({}, 1))
     measured = [("Journey", MethodRuns("VPRTempo", runs)) for runs in ((on_gpu,), seeds)]
-    text = Parsed(report.page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
+    text = Parsed(report.render_page(TABLE, [], [browsed], measured=[("Journey", browsed.series[0]), *measured])).text
     notes = "VPRTempo, on cuda", "the clock was not locked", "two carts passed", "VPRTempo, seed 0", "other answers"
     protocol = "journey: 50 queries, 60 places"
     assert [shown for shown in (machines[0], "Difference Engine", *notes, protocol) if shown not in text] == []
-    assert "Difference Engine" not in Parsed(report.page(TABLE, [], [browsed])).text
+    assert "Difference Engine" not in Parsed(report.render_page(TABLE, [], [browsed])).text

@@ -8,7 +8,7 @@ import pytest
 from small_plan import PLAN, RUN, install, lines, quick_figures
 
 from vprbench.cli import main
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import compute_recall
 from vprbench.plugins import registry
 from vprbench.runs.store import Store
 
@@ -27,7 +27,7 @@ def test_each_run_is_made_once_and_the_files_hold_the_stored_numbers_and_why_the
     assert sorted(request.method_name for request in apart.asked) == ["cosplace", "cosplace", "pca", "sad", "sad"]
     found = cells("table.csv")
     (run,) = (run for run in Store(Path("results")).runs() if (run.method, run.outcome.n_places) == ("sad", 20))
-    recall = recall_at(run.outcome, 1)
+    recall = compute_recall(run.outcome, 1)
     sad, nobody, slow = (found[row, "route"] for row in ("SAD", "Nobody", "PCA"))
     assert (float(sad["value"]), sad["published"]) == (pytest.approx(100 * recall.expected, rel=1e-12), "48.0")
     assert (nobody["mark"], "cosplace.pth" in nobody["notes"]) == ("not there", True)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from vprbench import progress
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset
-from vprbench.api.images import Images, codes_to_compare
+from vprbench.api.images import Images, hash_images_of_both
 from vprbench.errors import BadInput
 from vprbench.storage.cores import count_cores
 from vprbench.text import format_count, join_few, join_names, pick_verb
@@ -253,7 +253,7 @@ def check_shared_files(dataset: Dataset) -> Iterator[Finding]:
     Black queries and those of one grey value pass, and rendered frames and windows of event recordings are not looked
     at. Raises BadInput for a file that cannot be read.
     """
-    codes = codes_to_compare(dataset.references, dataset.queries)
+    codes = hash_images_of_both(dataset.references, dataset.queries)
     if codes is None:
         return
     references, queries = codes

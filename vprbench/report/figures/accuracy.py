@@ -14,7 +14,14 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vprbench.metrics.accuracy import PRCurve, Values, average_precision, hits_at, hits_within, pr_curve
+from vprbench.metrics.accuracy import (
+    PRCurve,
+    Values,
+    average_precision,
+    compute_pr_curve,
+    count_hits,
+    count_hits_within,
+)
 from vprbench.metrics.catalogue import Metric
 from vprbench.metrics.intervals import block_length, share_interval
 from vprbench.report.figures import style
@@ -55,7 +62,7 @@ def draw_precision_recall(series: Sequence[MethodRuns]) -> Drawing:
     looks = choose_looks(row.name for row in series)
     for row in series:
         look = looks[row.name]
-        curves = [curve for run in row.runs if (curve := pr_curve(run.outcome, "A"))]
+        curves = [curve for run in row.runs if (curve := compute_pr_curve(run.outcome, "A"))]
         recall, precision = _average_curves(curves)
         if len(curves) > 1:
             for curve in curves:
@@ -85,7 +92,7 @@ def draw_recall_at_n(series: Sequence[MethodRuns]) -> Drawing:
     """
     series = choose_answerable(series)
     numbers = range(1, min(LARGEST_N, series[0].runs[0].outcome.n_places) + 1)
-    figure = _draw_recalls(series, numbers, lambda run: np.stack([hits_at(run.outcome, n) for n in numbers]))
+    figure = _draw_recalls(series, numbers, lambda run: np.stack([count_hits(run.outcome, n) for n in numbers]))
     ticks = [n for n in numbers if n == 1 or n % 5 == 0]
     figure.axes[0].set(xlabel="Best places looked at, N", ylabel="Recall at N (%)", xticks=ticks)
     caption = (
@@ -108,7 +115,7 @@ def draw_recall_at_tolerance(series: Sequence[MethodRuns]) -> Drawing:
     others = any(protocol.get(name) for name in ("tolerance_metres", "radius_metres", "tolerance_frames"))
 
     def hits(run: Run) -> Values:
-        return hits_within(run.top_places, run.top_scores, run.positives, widenings, run.place_numbers)
+        return count_hits_within(run.top_places, run.top_scores, run.positives, widenings, run.place_numbers)
 
     tolerances = range(own, own + len(widenings))
     figure = _draw_recalls(series, tolerances, hits)
@@ -132,7 +139,7 @@ def draw_recall_at_length(views: Iterable[Sequence[MethodRuns]]) -> Drawing:
     figure, (axes,) = new_figure(style.SINGLE_MM, _HEIGHT_MM, grid=True)
     for name, look in choose_looks(row.name for length in lengths for row in of_length[length]).items():
         runs = {length: row.runs for length in lengths for row in of_length[length] if row.name == name}
-        points = [_measure_recalls(seeds, lambda run: hits_at(run.outcome, 1)[None]) for seeds in runs.values()]
+        points = [_measure_recalls(seeds, lambda run: count_hits(run.outcome, 1)[None]) for seeds in runs.values()]
         _draw_curve(axes, look, name, [*runs], *(np.concatenate(part) for part in zip(*points, strict=True)))
     axes.set(xlabel="Queries in a sequence", ylabel="Recall at 1 (%)", xticks=lengths, ylim=(0, 102))
     add_legend(figure)
@@ -249,13 +256,13 @@ def _resample_precision(run: Run, end: float) -> tuple[Values, Values, Values]:
     """Return recalls up to `end` and the 95 % interval of precision there, by a circular block bootstrap."""
     run = replace(run, scores=None)
     random, order = np.random.default_rng(0), order_along_journey(run)
-    n, block = len(order), max(block_length(hits_at(run.outcome, 1)[order]), get_window_length(run))
+    n, block = len(order), max(block_length(count_hits(run.outcome, 1)[order]), get_window_length(run))
     grid = np.linspace(0, end, _GRID_POINTS)
     precisions = np.full((_RESAMPLES, _GRID_POINTS), np.nan)
     for precision in precisions:
         starts = random.integers(n, size=(-(-n // block), 1))
         queries = order[((starts + np.arange(block)) % n).ravel()[:n]]
-        if (curve := pr_curve(select_queries(run, queries, {}).outcome, "A")) is not None:
+        if (curve := compute_pr_curve(select_queries(run, queries, {}).outcome, "A")) is not None:
             precision[:] = _precision_at(curve, grid)
     reached = (grid == 0) | (np.isnan(precisions).mean(axis=0) <= _ENDED)
     low, high = np.nanquantile(precisions[:, reached], [0.025, 0.975], axis=0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from vprbench.report.figures.make import find_thumbnails
 from vprbench.report.figures.style import render_png
-from vprbench.report.page.page import TITLE, Picture, Section, page
+from vprbench.report.page.page import TITLE, Picture, Section, render_page
 from vprbench.report.report import Report
 from vprbench.report.selection import DEVICES, DatasetRuns, list_method_runs
 from vprbench.report.table import formats
@@ -28,7 +28,7 @@ def make_page(found: Report) -> str:
     made_from = f"Made from {format_count(len(times), 'stored run')}, the newest of {max(times)[:10]}."
     pictures = [Picture(name, drawing.caption, render_png(drawing)) for name, drawing in found.drawings.items()]
     title = found.plan.title or TITLE
-    return page(formats.to_html(found), pictures, sections, title, made_from, measured, found.absent)
+    return render_page(formats.to_html(found), pictures, sections, title, made_from, measured, found.absent)
 
 
 def _load_frames(group: DatasetRuns, found: Report) -> Thumbnails | None:

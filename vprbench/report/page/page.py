@@ -69,7 +69,7 @@ class Section:
         return {name: judge_answers(run) for name, run in self.runs.items()}
 
 
-def page(
+def render_page(
     table_html: str,
     pictures: Sequence[Picture],
     sections: Sequence[Section],

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from vprbench.metrics.accuracy import recall_at
+from vprbench.metrics.accuracy import compute_recall
 from vprbench.report.plan import Plan, Row
 from vprbench.report.selection import DEVICES, DatasetRuns, Device, MethodRuns, select_row_runs
 from vprbench.report.table.quantities import RECALL, TIMES, Quantity
@@ -214,7 +214,9 @@ def _list_remarks(entry: _Entry, quantity: Quantity, runs: Sequence[Run]) -> Ite
         yield tuning
     if quantity.kind == "training" and entry.row.training == "map":
         yield "time to build the map"
-    recalls = [recall for run in runs if (recall := recall_at(run.outcome, 1))] if quantity.name == RECALL.name else []
+    recalls = (
+        [recall for run in runs if (recall := compute_recall(run.outcome, 1))] if quantity.name == RECALL.name else []
+    )
     if any(recall.hangs_on_ties for recall in recalls):
         low, high = mean(each.pessimistic for each in recalls), mean(each.optimistic for each in recalls)
         yield f"ties: R@1 {format_percent(low)} to {format_percent(high)} %"
