@@ -92,7 +92,7 @@ class AnyLoc(PublishedNetwork):
 
     def loaded(self, tensors: Tensors, path: Path) -> nn.Module:
         """Return the network of the blocks up to `layer`, and the centres; raises BadInput if they do not fit."""
-        network = cast(_Network, super().loaded(keep_first_blocks(tensors, self.layer + 1), path))
+        network = cast(_VLADNetwork, super().loaded(keep_first_blocks(tensors, self.layer + 1), path))
         dim = network.values.model.sizes.dim
         learnt = self.vocabulary == "references"
         network.centres = torch.zeros(self.words, dim) if learnt else self._read_centres(dim)
@@ -101,11 +101,11 @@ class AnyLoc(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the sizes of `backbone`, or of a file, up to `layer`."""
         model = VisionTransformer.sized(tensors, self.backbone, n_blocks=self.layer + 1)
-        return _Network(model, self.words)
+        return _VLADNetwork(model, self.words)
 
     def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the transformer alone."""
-        return cast(_Network, network).values.model
+        return cast(_VLADNetwork, network).values.model
 
     def use(self, network: nn.Module) -> None:
         """Describe images with this network from now on; centres stay float32."""
@@ -121,7 +121,7 @@ class AnyLoc(PublishedNetwork):
             self._learnt = False
             if self._network is None:
                 self.use(self.load(self.files()[0]))
-            network = cast(_Network, self._network)
+            network = cast(_VLADNetwork, self._network)
             network.centres = torch.from_numpy(self._learn_centres(network, references)).to(self.device)
             self._learnt = True
         return super().fit(references, places)
@@ -171,7 +171,7 @@ class AnyLoc(PublishedNetwork):
             )
         return centres.float()
 
-    def _learn_centres(self, network: _Network, references: Images) -> npt.NDArray[np.float32]:
+    def _learn_centres(self, network: _VLADNetwork, references: Images) -> npt.NDArray[np.float32]:
         """Return k-means' centres, (words, dim), of values drawn from the references."""
         generator = np.random.default_rng(self.seed)
         n = len(references)
@@ -194,7 +194,7 @@ class AnyLoc(PublishedNetwork):
         return k_means(np.concatenate(drawn), self.words, generator)
 
 
-class _Network(nn.Module):
+class _VLADNetwork(nn.Module):
     """Images (n, 3, height, width) in, VLADs float32 (n, n_centres * dim) out, not yet of unit length."""
 
     centres: Tensor  # (n_centres, dim)

@@ -75,7 +75,7 @@ class BoQ(PublishedNetwork):
         """Return the network of 12288 dimensions, or in the sizes of a file."""
         dino = select_prefix(tensors, "backbone.dino.")
         model = VisionTransformer.sized(dino, norm="norm.weight" in dino)
-        return _Network("dino", model, model.sizes.dim, Sizes.of(tensors, published_dim=384))
+        return _BoQNetwork("dino", model, model.sizes.dim, Sizes.of(tensors, published_dim=384))
 
 
 @dataclass(kw_only=True)
@@ -98,16 +98,16 @@ class BoQResNet50(BoQ):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 16384 dimensions, or in the sizes of a file."""
         sizes = Sizes.of(tensors, published_dim=512)
-        return _Network("net", build_resnet(_RESNET, _STAGES), count_channels(_RESNET, _STAGES), sizes)
+        return _BoQNetwork("net", build_resnet(_RESNET, _STAGES), count_channels(_RESNET, _STAGES), sizes)
 
 
-class _Network(nn.Module):
+class _BoQNetwork(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, dim * n_rows) out, not yet of unit length."""
 
     def __init__(self, name: str, backbone: nn.Module, n_channels: int, sizes: Sizes) -> None:
         super().__init__()
         self.backbone = nn.ModuleDict({name: backbone})
-        self.aggregator = _Aggregator(n_channels, sizes)
+        self.aggregator = _QueryAggregator(n_channels, sizes)
 
     def forward(self, images: Tensor) -> Tensor:
         (backbone,) = self.backbone.values()
@@ -118,14 +118,14 @@ class _Network(nn.Module):
         return cast(Tensor, self.aggregator(features))
 
 
-class _Aggregator(nn.Module):
+class _QueryAggregator(nn.Module):
     """Local features (n, n_channels, rows, columns) in, descriptors (n, dim * n_rows) out."""
 
     def __init__(self, n_channels: int, sizes: Sizes) -> None:
         super().__init__()
         self.proj_c = nn.Conv2d(n_channels, sizes.dim, 3, padding=1)
         self.norm_input = nn.LayerNorm(sizes.dim)
-        self.boqs = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
+        self.boqs = nn.ModuleList(_BoQBlock(sizes) for _ in range(sizes.n_blocks))
         self.fc = nn.Linear(sizes.n_blocks * sizes.n_queries, sizes.n_rows)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -138,7 +138,7 @@ class _Aggregator(nn.Module):
         return joined.flatten(1)
 
 
-class _Block(nn.Module):
+class _BoQBlock(nn.Module):
     """Refines the features, and gathers from them what its queries attend to."""
 
     def __init__(self, sizes: Sizes) -> None:

@@ -44,10 +44,10 @@ class CricaVPR(CrossImageDescriptor):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 10752 dimensions, or as many as a file has."""
         model = VisionTransformer.sized(select_prefix(tensors, "backbone."))
-        return _Network(model, CrossImageEncoder.sized(tensors, model.sizes.dim, self.images_together))
+        return _CricaVPRNetwork(model, CrossImageEncoder.sized(tensors, model.sizes.dim, self.images_together))
 
 
-class _Network(nn.Module):
+class _CricaVPRNetwork(nn.Module):
     """Images (n, 3, 224, 224) in, descriptors (n, 14 * dim) out, not yet of unit length."""
 
     def __init__(self, model: VisionTransformer, encoder: CrossImageEncoder) -> None:

@@ -36,14 +36,14 @@ class DINOv2(PublishedNetwork):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the sizes of `backbone`, or of a file."""
-        return _Network(VisionTransformer.sized(tensors, self.backbone), self.pooling)
+        return _DINOv2Network(VisionTransformer.sized(tensors, self.backbone), self.pooling)
 
     def name_parts(self, network: nn.Module) -> nn.Module:
         """Return the transformer alone."""
-        return cast(_Network, network).model
+        return cast(_DINOv2Network, network).model
 
 
-class _Network(nn.Module):
+class _DINOv2Network(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, dim) out, not yet of unit length."""
 
     def __init__(self, model: VisionTransformer, pooling: Pooling) -> None:

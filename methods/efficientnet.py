@@ -48,7 +48,7 @@ class EfficientNet(NeuralDescriptor):
 
     def load(self, path: Path) -> nn.Module:
         """Return the network up to the last block that is read; raises BadInput for a file of another variant."""
-        network = cast(_Network, self.blank())
+        network = cast(_EfficientNetwork, self.blank())
         tensors = state_dict(path)
         folded = fold_batch_norms(tensors)
         n_blocks, of_variant = 1 + max(map(_find_block, folded), default=-1), count_blocks(self.variant)
@@ -63,12 +63,12 @@ class EfficientNet(NeuralDescriptor):
         """Return the network up to the last block that is read, on the device "meta"."""
         self._check_arguments()
         with torch.device("meta"):
-            return _Network(EfficientNetLite(self.variant, self.blocks[-1]), self.blocks, self.grid)
+            return _EfficientNetwork(EfficientNetLite(self.variant, self.blocks[-1]), self.blocks, self.grid)
 
     def use(self, network: nn.Module) -> None:
         """Describe images with this network from now on."""
         super().use(network)
-        own = cast(_Network, self._network)
+        own = cast(_EfficientNetwork, self._network)
         own.compiled = None
         if self.device == "cpu":
             shown = torch.zeros(1, 3, *self.target(0, 0)).contiguous(memory_format=torch.channels_last)
@@ -124,7 +124,7 @@ class EfficientNet(NeuralDescriptor):
         self._resolve_cells()
 
 
-class _Network(nn.Module):
+class _EfficientNetwork(nn.Module):
     """Images (n, 3, height, width) to the cells of each block, each of unit length, side by side (n, n_dimensions)."""
 
     def __init__(self, model: EfficientNetLite, blocks: Sequence[int], grid: Sequence[Grid]) -> None:

@@ -42,14 +42,14 @@ class Whitening:
         There are fewer than `n_components` if the descriptors vary in fewer directions, n - 1 at most.
         """
         n, n_dimensions = descriptors.shape
-        mean = sum(block.sum(0) for block in _read_blocks(descriptors)) / n
+        mean = sum(block.sum(0) for block in _read_residual_blocks(descriptors)) / n
         few = n < n_dimensions
         if few:  # n x n products vary in the same directions, and are far smaller
-            centred = np.concatenate([*_read_blocks(descriptors)]) - mean
+            centred = np.concatenate([*_read_residual_blocks(descriptors)]) - mean
             products = centred @ centred.T
         else:
             products = np.zeros((n_dimensions, n_dimensions))
-            for block in _read_blocks(descriptors):
+            for block in _read_residual_blocks(descriptors):
                 products += (block - mean).T @ (block - mean)
         variances, directions = np.linalg.eigh(products / (2 * n))  # the 2 is the authors'
         # In directions without variance there is rounding noise left, which whitening would make as large as any.
@@ -147,7 +147,7 @@ class _GCL(nn.Module):
         return pooled
 
 
-def _read_blocks(descriptors: Descriptors) -> Iterator[npt.NDArray[np.float64]]:
+def _read_residual_blocks(descriptors: Descriptors) -> Iterator[npt.NDArray[np.float64]]:
     """Yield descriptors in blocks, (n, n_dimensions), as float64."""
     for first in range(0, len(descriptors), _TOGETHER):
         yield descriptors[first : first + _TOGETHER].astype(np.float64)

@@ -55,7 +55,7 @@ class _MixVPR(nn.Module):
     def __init__(self, n_positions: int, channels: int, rows: int) -> None:
         super().__init__()
         self.backbone = nn.ModuleDict({"model": build_resnet(_BACKBONE, _N_STAGES, names="words")})
-        self.aggregator = _Aggregator(n_positions, channels, rows)
+        self.aggregator = _MixerAggregator(n_positions, channels, rows)
 
     def forward(self, images: Tensor) -> Tensor:
         features = self.backbone["model"](images)
@@ -70,7 +70,7 @@ class _MixVPR(nn.Module):
         return cast(Tensor, self.aggregator(features))
 
 
-class _Aggregator(nn.Module):
+class _MixerAggregator(nn.Module):
     """Feature maps (n, channels, height, width) to descriptors, the rows of each output channel side by side."""
 
     def __init__(self, n_positions: int, channels: int, rows: int) -> None:

@@ -152,7 +152,7 @@ class PatchNetVLAD(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network in the clusters of a file, of the components of the configuration."""
         clusters, _ = read_sizes(tensors, self.weights.file)
-        return _Network(clusters, self.components[self.configuration], SETTINGS[self.configuration].sides)
+        return _PatchNetVLADNetwork(clusters, self.components[self.configuration], SETTINGS[self.configuration].sides)
 
     def _split(self, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the descriptors in codes, first that of the image, (n_images, 1 + n_patches, n_components)."""
@@ -219,7 +219,7 @@ class PatchNetVLAD(PublishedNetwork):
             )
 
 
-class _Network(Network):
+class _PatchNetVLADNetwork(Network):
     """Images (n, 3, height, width) to the unit vectors of image and patches, (n, (1 + n_patches) * n_components)."""
 
     def __init__(self, clusters: int, components: int, sides: tuple[int, ...]) -> None:

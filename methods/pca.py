@@ -50,7 +50,7 @@ class PCA(Method):
             raise BadInput(f"method.components={self.components}: give at least 1")
         levels = self.encode(references)
         mean, projection = self._learn(levels)
-        self._map = Map(mean, projection, _project(levels, mean, projection), places.copy())
+        self._map = Map(mean, projection, _project_levels(levels, mean, projection), places.copy())
         return self
 
     def encode(self, images: Images) -> npt.NDArray[np.uint8]:
@@ -66,7 +66,7 @@ class PCA(Method):
         if known is None:
             raise NotFittedError("PCA has no map yet: call fit(references, places) first")
         count_operations(len(codes) * (known.projection.size + known.references.size))
-        similarity = _project(codes, known.mean, known.projection) @ known.references.T
+        similarity = _project_levels(codes, known.mean, known.projection) @ known.references.T
         return best_image_of_place(similarity, known.places)
 
     def map_bytes(self) -> int | None:
@@ -87,7 +87,7 @@ class PCA(Method):
         return pca.mean_, np.ascontiguousarray(pca.components_[real].T / scale)
 
 
-def _project(
+def _project_levels(
     levels: npt.NDArray[np.uint8], mean: npt.NDArray[np.float64], projection: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float32]:
     """Return the components as unit vectors, (n_images, n_components); zero if there is nothing but rounding."""

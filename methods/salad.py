@@ -34,7 +34,7 @@ class SALAD(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 8448 dimensions, or in the sizes of a file."""
         sizes = Sizes.of(select_prefix(tensors, "aggregator."), cluster_dim=128)
-        return _Network(VisionTransformer.sized(select_prefix(tensors, "backbone.model.")), sizes)
+        return _SALADNetwork(VisionTransformer.sized(select_prefix(tensors, "backbone.model.")), sizes)
 
 
 @dataclass(kw_only=True)
@@ -135,7 +135,7 @@ def assign_patches(scores: Tensor, dust_bin: Tensor) -> Tensor:
     return (scores + rows + columns - log_patch).exp()[:, :-1]
 
 
-class _Network(nn.Module):
+class _SALADNetwork(nn.Module):
     """Images (n, 3, height, width) in, descriptors (n, n_dimensions) out; the parts have their published names."""
 
     def __init__(self, model: VisionTransformer, sizes: Sizes) -> None:

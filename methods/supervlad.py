@@ -34,7 +34,7 @@ class SuperVLAD(PublishedNetwork):
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 3072 dimensions, or as many as a file has."""
         n_shares = read_size(tensors, "aggregation.conv.weight", 0, _CLUSTERS + _GHOSTS)
-        return _Network(VisionTransformer.sized(select_prefix(tensors, "backbone.")), n_shares)
+        return _SuperVLADNetwork(VisionTransformer.sized(select_prefix(tensors, "backbone.")), n_shares)
 
 
 @dataclass(kw_only=True)
@@ -46,12 +46,12 @@ class SuperVLADCrossImage(SuperVLAD, CrossImageDescriptor):
 
     def network(self, tensors: Tensors) -> nn.Module:
         """Return the network of 3072 dimensions, or as many as a file has, with its encoder."""
-        network = cast(_Network, super().network(tensors))
+        network = cast(_SuperVLADNetwork, super().network(tensors))
         network.encoder = CrossImageEncoder.sized(tensors, network.backbone.sizes.dim, self.images_together)
         return network
 
 
-class _Network(nn.Module):
+class _SuperVLADNetwork(nn.Module):
     """Images (n, 3, height, width) in, float32 descriptors (n, n_clusters * dim) out, not yet of unit length."""
 
     def __init__(self, model: VisionTransformer, n_shares: int) -> None:

@@ -77,7 +77,7 @@ class DenseVLAD(DescriptorMethod):
             else read_words(self.files()[0], self.words)
         ).to(self.device)
         at_most = max(_WHITENED_IMAGES, _IMAGES_PER_COMPONENT * self.n_components)
-        chosen = _sample(references, at_most if self.n_components else len(references), generator)
+        chosen = _sample_descriptors(references, at_most if self.n_components else len(references), generator)
         vlads = self._compute_vlads(references[chosen].watched(_report_stage("describing", len(chosen))), words)
         n_components = min(self.n_components, len(chosen) // _IMAGES_PER_COMPONENT)
         self._projection = learn_whitening(vlads, max(1, n_components)) if self.n_components else None
@@ -117,7 +117,7 @@ class DenseVLAD(DescriptorMethod):
 
     def _learn_words(self, references: Images, generator: np.random.Generator) -> npt.NDArray[np.float32]:
         """Return unit vectors, (words, 128): k-means on descriptors of enough contrast, drawn from all scales."""
-        chosen = _sample(references, _SAMPLED_IMAGES, generator)
+        chosen = _sample_descriptors(references, _SAMPLED_IMAGES, generator)
         per_image = _SAMPLED_PER_WORD * self.words / len(chosen)
         drawn = [np.empty((0, DIMENSIONS), np.float32)]
         for image in references[chosen].watched(_report_stage("sampling", len(chosen))):
@@ -159,7 +159,7 @@ def _project_vlads(
     return vlads if projection is None else unit(vlads @ projection)
 
 
-def _sample(images: Images, at_most: int, generator: np.random.Generator) -> npt.NDArray[np.int64]:
+def _sample_descriptors(images: Images, at_most: int, generator: np.random.Generator) -> npt.NDArray[np.int64]:
     """Draw images without repeating one, in their order; all of them if there are no more."""
     n = len(images)
     return np.arange(n) if n <= at_most else np.sort(generator.choice(n, at_most, replace=False))

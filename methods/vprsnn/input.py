@@ -26,7 +26,7 @@ def draw_spike_train(
     drawn = np.empty((2, steps * len(levels)), np.int32)  # as large as can be: memory is taken where it is written
     n_spikes = _draw(hazard, generator, steps, *drawn)
     train = Train(np.empty(n_spikes, np.int32), np.empty(n_spikes, np.int32))
-    _sort(*drawn[:, :n_spikes], np.zeros(steps + 1, np.int32), train.step, train.source)
+    _sort_spikes(*drawn[:, :n_spikes], np.zeros(steps + 1, np.int32), train.step, train.source)
     return train
 
 
@@ -57,7 +57,7 @@ def _draw(hazard, generator, steps, step, source):  # type: ignore[no-untyped-de
 
 
 @compiled()
-def _sort(drawn_step, drawn_source, begins, step, source):  # type: ignore[no-untyped-def]
+def _sort_spikes(drawn_step, drawn_source, begins, step, source):  # type: ignore[no-untyped-def]
     """Bring the spikes of all inputs into the order of their steps."""
     for at in drawn_step:
         begins[at + 1] += 1

@@ -216,7 +216,7 @@ def compare_best(scores: Vectors, exact: Vectors) -> npt.NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class _Block:
+class _ImageBlock:
     """Consecutive images, and which of them show which place."""
 
     first: int
@@ -226,8 +226,8 @@ class _Block:
     places: npt.NDArray[np.int64]  # that they show
 
 
-def _blocks_of_places(places: npt.NDArray[np.int64]) -> Iterator[_Block]:
+def _blocks_of_places(places: npt.NDArray[np.int64]) -> Iterator[_ImageBlock]:
     for images in cut_into_parts(len(places), _TOGETHER):
         order = np.argsort(places[images], kind="stable")
         shown, starts = np.unique(places[images][order], return_index=True)
-        yield _Block(images.start, images.stop, order, starts, shown)
+        yield _ImageBlock(images.start, images.stop, order, starts, shown)

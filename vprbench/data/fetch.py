@@ -258,7 +258,7 @@ def _fetch_part(
         try:
             with show_progress(f"fetch {name}"):
                 if url is not None:
-                    _download(part, archive, url, timeout_seconds)
+                    _download_archive(part, archive, url, timeout_seconds)
                 got = _check_archive(part, archive)
                 unpack(archive, root, part.unpack, lambda folder: _check_folders(part, folder))
             break
@@ -281,7 +281,7 @@ def _fetch_part(
     _print_counts(part, root)
 
 
-def _download(part: Part, archive: Path, url: str, timeout_seconds: float) -> None:
+def _download_archive(part: Part, archive: Path, url: str, timeout_seconds: float) -> None:
     if os.environ.get(_OFFLINE, "0") not in ("", "0"):
         raise MissingData(f"{_OFFLINE} forbids downloads: get {url} elsewhere and store it as {archive}")
     download.fetch(

@@ -63,7 +63,7 @@ def _check_images(built: BuiltDataset) -> None:
             require(right, f"{name} is {_format_type(image)}; wanted is uint8 (height, width, 3)")
 
 
-def _check_reading(built: BuiltDataset) -> None:
+def _check_rereading(built: BuiltDataset) -> None:
     for part, images in built.parts.items():
         sample = _sample_numbers(images)
         for i, in_a_row in zip(sample, images[np.array(sample)], strict=True):  # threads read the row ahead
@@ -107,7 +107,7 @@ DATASET_RULES: dict[str, Callable[[BuiltDataset], None]] = {
     "it is the same when it is made again": _check_again,
     "right places are whole numbers, ascending, each once": _check_positives,
     "images are uint8 (height, width, 3)": _check_images,
-    "an image is the same however it is read": _check_reading,
+    "an image is the same however it is read": _check_rereading,
     "the protocol holds plain values": _check_protocol,
     "held-out queries are none of the queries": _check_held_out,
 }

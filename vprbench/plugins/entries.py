@@ -133,7 +133,7 @@ def spell_out_plugin_paths(option: str) -> str:
 
 def find_conf_folders() -> dict[str, Path]:
     """Return the folders that hold method/ and dataset/, by package: this project's and those of plug-ins."""
-    found = {"vprbench": _find_folder("vprbench.conf"), **_find_plugins()}
+    found = {"vprbench": _find_conf_folder("vprbench.conf"), **_find_plugins()}
     return {package: folder for package, folder in found.items() if folder is not None}
 
 
@@ -148,10 +148,10 @@ def list_broken_plugins() -> Iterator[tuple[str, str]]:
 def _find_plugins() -> dict[str, Path | None]:
     """Return the folder of each package that declares one as an entry point; None if it is missing."""
     declared = sorted({point.value for point in entry_points(group="vprbench.conf")})
-    return {value.removesuffix(".conf"): _find_folder(value) for value in declared}
+    return {value.removesuffix(".conf"): _find_conf_folder(value) for value in declared}
 
 
-def _find_folder(package: str) -> Path | None:
+def _find_conf_folder(package: str) -> Path | None:
     """Return the folder of a package without importing it; None if there is none."""
     top, *rest = package.split(".")
     spec = importlib.util.find_spec(top)

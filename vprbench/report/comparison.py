@@ -143,7 +143,7 @@ def _plan_comparison(
     clean = Column(title, title, tuple(of_dataset), dataset=run.dataset, views=request.views)
     plan = Plan(
         rows=tuple(rows),
-        columns=tuple(_list_columns(clean, request.corruptions, dataset, run.n_threads)),
+        columns=tuple(_list_compared_columns(clean, request.corruptions, dataset, run.n_threads)),
         devices=tuple(request.devices),
         metrics=tuple(request.metrics),
         results=request.results,
@@ -155,7 +155,9 @@ def _plan_comparison(
     return plan, dataset
 
 
-def _list_columns(clean: Column, corruptions: Sequence[str], dataset: Dataset | None, threads: int) -> Iterator[Column]:
+def _list_compared_columns(
+    clean: Column, corruptions: Sequence[str], dataset: Dataset | None, threads: int
+) -> Iterator[Column]:
     """Yield the clean column and that of each corruption, by the frames of the dataset if there is one.
 
     Raises BadInput if there is no accuracy that a corruption could lower.

@@ -19,13 +19,13 @@ from vprbench.runs.timing_protocol import Protocol
 from vprbench.runs.views import View
 
 
-class _Part(BaseModel):
+class _NamedPart(BaseModel):
     """Values as JSON gives them, none converted; values that are not named are free."""
 
     model_config = ConfigDict(strict=True)
 
 
-class RunConfig(_Part):
+class RunConfig(_NamedPart):
     """The options of a run."""
 
     method: dict[str, Any]
@@ -37,7 +37,7 @@ class RunConfig(_Part):
     timing: Protocol | None = None  # of a run that was timed
 
 
-class DatasetProtocol(_Part):
+class DatasetProtocol(_NamedPart):
     """Which places of a dataset count as right, among all that it selected."""
 
     tolerance_places: Count = 0
@@ -47,7 +47,7 @@ class DatasetProtocol(_Part):
     radius_metres: Number = 0.0
 
 
-class Environment(_Part):
+class Environment(_NamedPart):
     """The machine of a run, and when it ran; `machine.describe_machine` names all parts."""
 
     processor: str | None = None

@@ -41,7 +41,7 @@ def choose_places(name: str, config: Mapping[str, Any], places: int, columns: It
             "that it sets aside: leave it out"
         )
     shown = [column for column in columns if f"dataset={name}" in column.options and not column.on_request]
-    reported = [config, *({**config, **_read_arguments(column)} for column in shown)]
+    reported = [config, *({**config, **_read_column_arguments(column)} for column in shown)]
     if "seed" in config:
         journey = 1 + max(each["seed"] for each in reported)
         other = {"seed": journey, "places": 2 * places, "first_query_place": 0, "query_places": 2 * places}
@@ -83,7 +83,7 @@ def cut_dataset(dataset: Dataset, stretch: range) -> Dataset:
     )
 
 
-def _read_arguments(column: Column) -> dict[str, Any]:
+def _read_column_arguments(column: Column) -> dict[str, Any]:
     """Return the arguments of its dataset that a column changes."""
     pairs = (option.partition("=") for option in column.options)
     return {name.removeprefix("dataset."): yaml.safe_load(value) for name, _, value in pairs if "." in name}

@@ -44,7 +44,7 @@ class Hits:
 
 def encode_stretch(dataset: Dataset, method: Method, name: str) -> Stretch:
     """Encode the images of a stretch for all trials."""
-    codes = [_encode(images, method, name) for images in (dataset.references, dataset.queries)]
+    codes = [_encode_images(images, method, name) for images in (dataset.references, dataset.queries)]
     return Stretch(codes[0], dataset.places, codes[1], dataset.positives)
 
 
@@ -61,7 +61,7 @@ def train_and_query(arguments: Mapping[str, Any], stretch: Stretch) -> Hits:
     return Hits(count_hits(ranked, 1))
 
 
-def _encode(images: Images, method: Method, name: str) -> npt.NDArray[Any]:
+def _encode_images(images: Images, method: Method, name: str) -> npt.NDArray[Any]:
     codes: list[npt.NDArray[Any]] = []
     for block in images.blocks(_TOGETHER):
         progress.report(f"encoding the {name} places", len(codes) * _TOGETHER / len(images))

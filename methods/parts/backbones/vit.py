@@ -70,7 +70,7 @@ class VisionTransformer(nn.Module):
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + sizes.grid**2, sizes.dim))
         self.mask_token = nn.Parameter(torch.zeros(1, sizes.dim)) if mask_token else None
         self.patch_embed = nn.Sequential(OrderedDict(proj=nn.Conv2d(3, sizes.dim, kernel_size=_PATCH, stride=_PATCH)))
-        self.blocks = nn.ModuleList(_Block(sizes) for _ in range(sizes.n_blocks))
+        self.blocks = nn.ModuleList(_TransformerBlock(sizes) for _ in range(sizes.n_blocks))
         self.norm = nn.LayerNorm(sizes.dim, eps=_EPSILON) if norm else nn.Identity()
         self.eval().requires_grad_(False)
 
@@ -103,7 +103,7 @@ class VisionTransformer(nn.Module):
         x, grid = self._embed_images(images)
         for earlier in self.blocks[:-1]:
             x = earlier(x)
-        last = cast(_Block, self.blocks[-1])
+        last = cast(_TransformerBlock, self.blocks[-1])
         qkv, inner = last.attn.qkv, last.norm1(x[:, 1:])
         return _lay_on_grid(functional.linear(inner, qkv.weight.chunk(3)[2], qkv.bias.chunk(3)[2]), grid)
 
@@ -138,7 +138,7 @@ def keep_first_blocks(tensors: Tensors, n_blocks: int) -> dict[str, Tensor]:
     }
 
 
-class _Block(nn.Module):
+class _TransformerBlock(nn.Module):
     """Attention, then a network for each token, each behind a norm and scaled before it is added."""
 
     def __init__(self, sizes: Sizes) -> None:

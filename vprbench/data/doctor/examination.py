@@ -31,7 +31,7 @@ def quick(dataset: Dataset, sequences: bool = False) -> tuple[Finding, ...]:
     """
     found = [*_check_cheaply(dataset, sequences)]
     shared = () if any(finding.level == "error" for finding in found) else check_shared_files(dataset)
-    return _sort([*found, *shared])
+    return _sort_findings([*found, *shared])
 
 
 def examine(dataset: Dataset) -> tuple[Finding, ...]:
@@ -41,7 +41,7 @@ def examine(dataset: Dataset) -> tuple[Finding, ...]:
     """
     references, query = split_traverses(dataset)
     looks = [look_at(traverse.images, traverse.name) for traverse in (*references, query)]
-    return _sort([
+    return _sort_findings([
         *_check_cheaply(dataset),
         *(finding for seen in looks for finding in check_frames(dataset, seen)),
         *check_shared_pixels(dataset, looks),
@@ -112,5 +112,5 @@ def _check_cheaply(dataset: Dataset, sequences: bool = False) -> Iterator[Findin
         yield from check_folder(folder)
 
 
-def _sort(found: Iterable[Finding]) -> tuple[Finding, ...]:
+def _sort_findings(found: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(found, key=lambda finding: LEVELS.index(finding.level)))
