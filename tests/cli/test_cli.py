@@ -190,6 +190,8 @@ def test_a_path_that_holds_a_comma_is_answered_with_the_quotes_that_it_needs_and
 
 def test_a_sweep_ends_with_one_table_of_the_mean_over_the_seeds_and_its_csv(capsys, monkeypatch):
     monkeypatch.setattr(executors, "run_in_child", Apart())
+    assert main(["-m", "method=sad", "method.patch=5,9", *QUICK, "timing=none"]) == 0
+    assert Path("results/sweep.md").is_file()
     assert main(["-m", "method=sad,random_projection", "seed=0,1", *QUICK, "timing=none"]) == 0
     assert capsys.readouterr().out.splitlines()[-4:] == [f"  {Path('results/sweep').absolute()}{e}" for e in ENDINGS]
     with Path("results/sweep.csv").open(encoding="utf-8", newline="") as file:
