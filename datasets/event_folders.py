@@ -126,7 +126,7 @@ class Counting:
             **chosen,
         }
         mapped = _join_images([drive.images for drive in references])
-        dataset = dataset_of_files(name, mapped, queries.images, truth, unmatched, protocol)
+        dataset = dataset_of_files(name, mapped, queries.images, truth, protocol, unmatched=unmatched)
         return replace(dataset, recordings=tuple(drive.recording for drive in drives))
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence, Sized
 from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
+from vprbench.api import BadInput, Dataset, Images, MissingData, Paths
 
 from .readers.drives import Breaks, check_by_order, find_drives, keep_in_drive
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, make_ground_truth, unknown
+from .readers.file_dataset import OWN_FILES, FileOptions, GroundTruth, dataset_of_files, make_ground_truth, unknown
 from .readers.image_files import images_in
 from .readers.name_order import Numbers, by_numbers
 from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
@@ -36,17 +37,14 @@ def folders(
     ground_truth: str = "index",
     tolerance: int = 0,
     radius_metres: float = 25.0,
-    unmatched: Unmatched = "error",
     numbers: Numbers = "auto",
-    breaks: Breaks = "auto",
-    exif: Exif = "obey",
-    levels: str | None = None,
     without_position: WithoutPosition = "error",
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
     `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell.
-    `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`; tolerance ends where a drive ends.
+    Tolerance ends where a drive ends. Options that are not given are those of your own files (`OWN_FILES`).
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
@@ -66,6 +64,8 @@ def folders(
     found.append(images_in(queries, "dataset.queries", _ADVICE))
     (*traverses, query_files), read, notes = by_numbers(found, numbers)
     map_files = Paths.joined(traverses)
+    options = OWN_FILES | options
+    breaks = options["breaks"]
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
@@ -85,7 +85,6 @@ def folders(
         map_files,
         query_files,
         truth,
-        unmatched,
         {
             "protocol": "folders",
             "references": [Path(folder).resolve().name for folder in references],
@@ -95,9 +94,7 @@ def folders(
             **read,
         },
         notes,
-        breaks,
-        exif=exif,
-        levels=levels,
+        **options,
     )
 
 

@@ -105,7 +105,7 @@ def dataset_of(
         **read,
     }
     dataset: Dataset = folders.dataset_of_files(
-        name, mapped, query_images, truth, "keep", protocol, notes, breaks, exif=exif, levels=levels
+        name, mapped, query_images, truth, protocol, notes, unmatched="keep", breaks=breaks, exif=exif, levels=levels
     )
     return dataset.with_shared_frames(shared_frames)
 
