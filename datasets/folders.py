@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
@@ -69,7 +69,7 @@ def folders(
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
-        truth = match_by_order(traverses, references, map_files, query_files, tolerance, breaks)
+        truth = match_by_order(len(references), map_files, query_files, tolerance, breaks)
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
@@ -99,36 +99,25 @@ def folders(
 
 
 def match_by_order(
-    traverses: Sequence[Sized],
-    names: list[str],
+    n_traverses: int,
     references: Sequence[Path] | Images,
     queries: Sequence[Path] | Images,
     tolerance: int,
     breaks: Breaks,
 ) -> GroundTruth:
-    """Return the ground truth by index within the drive of each query; `references` are all traverses in turn."""
-    truth = match_indices(traverses, names, len(queries), tolerance)
+    """Return the ground truth by index within the drive of each query; `references` are equally long traverses in turn."""
+    truth = match_indices(n_traverses, len(references) // n_traverses, len(queries), tolerance)
     starts = find_drives(references, queries, breaks)
     drives = np.union1d(starts.find_place_starts(truth.places), starts.queries)
     return replace(truth, positives=keep_in_drive(truth.positives, drives))
 
 
-def match_indices(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
-    """Return the place of every reference and the right places of every query, by their number in the traverse.
-
-    Raises BadInput for traverses of different lengths.
-    """
-    counts = {len(files) for files in traverses}
-    if len(counts) > 1:
-        listed = ", ".join(f"{name} {len(files)}" for name, files in zip(names, traverses, strict=True))
-        raise BadInput(
-            f"dataset.references hold different numbers of images ({listed}): with ground_truth=index the i-th image "
-            "of every folder has to show the same place"
-        )
-    places = np.arange(counts.pop())
+def match_indices(n_traverses: int, n_places: int, n_queries: int, tolerance: int) -> GroundTruth:
+    """Return the place of every reference and the right places of every query, by their number in the traverse."""
+    places = np.arange(n_places)
     positives = match_numbers(np.arange(n_queries), places, tolerance)
     lacking = f"no reference within {tolerance} places"
-    return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
+    return GroundTruth(np.tile(places, n_traverses), positives, lacking, by_order=True)
 
 
 def _read_truth(

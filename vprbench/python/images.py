@@ -88,7 +88,7 @@ def dataset_of(
     names = [*(f"references[{number}]" for number in range(len(several))), "queries"]
     if by_order:
         folders.check_by_order(traverses, names, breaks, "", _REMEDY)
-        truth = folders.match_by_order(several, names[:-1], mapped, query_images, int(tolerance), breaks)
+        truth = folders.match_by_order(len(several), mapped, query_images, int(tolerance), breaks)
         read = {"tolerance_places": int(tolerance), **read}
     elif ground_truth == "none":
         truth = folders.unknown(len(mapped), len(query_images))
