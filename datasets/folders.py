@@ -9,12 +9,11 @@ from typing import Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Images, MissingData, Paths
+from vprbench.api import BadInput, Dataset, Images, MissingData, Numbers, Paths, order_by_numbers
 
 from .readers.drives import Breaks, check_by_order, find_drives, keep_in_drive
 from .readers.file_dataset import OWN_FILES, FileOptions, GroundTruth, dataset_of_files, make_ground_truth, unknown
 from .readers.image_files import images_in
-from .readers.name_order import Numbers, by_numbers
 from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
 from .readers.positives import load_arrays, read_matrix_file
 from .readers.traverses import match_numbers
@@ -62,7 +61,7 @@ def folders(
         )
     found = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     found.append(images_in(queries, "dataset.queries", _ADVICE))
-    (*traverses, query_files), read, notes = by_numbers(found, numbers)
+    (*traverses, query_files), read, notes = order_by_numbers(found, numbers)
     map_files = Paths.joined(traverses)
     options = OWN_FILES | options
     breaks = options["breaks"]
@@ -105,7 +104,7 @@ def match_by_order(
     tolerance: int,
     breaks: Breaks,
 ) -> GroundTruth:
-    """Return the ground truth by index within the drive of each query; `references` are equally long traverses in turn."""
+    """Return the ground truth by index within the drive of each query; traverses of one length follow in turn."""
     truth = match_indices(n_traverses, len(references) // n_traverses, len(queries), tolerance)
     starts = find_drives(references, queries, breaks)
     drives = np.union1d(starts.find_place_starts(truth.places), starts.queries)

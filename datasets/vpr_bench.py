@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
-from vprbench.api import BadInput, Dataset, MissingData
+from vprbench.api import BadInput, Dataset, MissingData, Numbers, order_by_numbers
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import FileOptions, dataset_of_files, make_ground_truth, unknown
 from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
-from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
 
 OutOfRange = Literal["error", "clip"]
@@ -49,7 +48,7 @@ def vpr_bench(
     top = find_root(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
-    (query_files, map_files), read, notes = by_numbers(found, numbers)
+    (query_files, map_files), read, notes = order_by_numbers(found, numbers)
     protocol: dict[str, Any] = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
     truth = unknown(len(map_files), len(query_files))
     if ground_truth != "none":
