@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, MatFileError, MissingData, read_mat
+from vprbench.api import BadInput, Dataset, MatFileError, MissingData, read_mat
 
-from .readers.drives import Breaks
-from .readers.file_dataset import Unmatched, dataset_of_files
+from .readers.file_dataset import FileOptions, dataset_of_files
 from .readers.frame_folders import find_root
 from .readers.image_files import find_listed
 from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
@@ -32,19 +31,16 @@ def dbstruct(
     query_folder: str = "",
     database_suffix: str | None = None,
     radius_metres: float = 25.0,
-    unmatched: Unmatched = "keep",
-    breaks: Breaks = "none",
-    exif: Exif = "ignore",
-    levels: str | None = None,
     without_position: WithoutPosition = "error",
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images that the structure `dbStruct` in `mat` (a path from `root`) names, in its order.
 
     Database names start from `<root>/<database_folder>`, query names from `<root>/<query_folder>` (queries_real for
     Pittsburgh). `database_suffix` replaces that of the database names, for Tokyo 24/7 says .jpg and holds .png. Every
-    database image is a place; right is what lies within `radius_metres` of a query, the radius included. `unmatched`,
-    `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`.
-    Raises MissingData for missing files, BadInput for a file without such a structure.
+    database image is a place; right is what lies within `radius_metres` of a query, the radius included.
+    `without_position` is that of `match_positions`. Raises MissingData for missing files, BadInput for a file without
+    such a structure.
     """
     top = find_root(name, root, "the images that the .mat file names", _LAYOUT)
     if mat is None:
@@ -67,7 +63,6 @@ def dbstruct(
         map_files,
         query_files,
         match_positions([known], sought, radius_metres, without_position),
-        unmatched,
         {
             "protocol": "dbstruct",
             "mat": file.name,
@@ -76,9 +71,7 @@ def dbstruct(
             "database_suffix": database_suffix,
             "radius_metres": radius_metres,
         },
-        breaks=breaks,
-        exif=exif,
-        levels=levels,
+        **options,
     )
 
 

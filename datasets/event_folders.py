@@ -13,6 +13,7 @@ import numpy as np
 from vprbench.api import BadInput, Dataset, Images, MissingData, Recording, event_frames
 
 from .folders import match_indices
+from .readers.drives import check_by_order
 from .readers.event_files import read_events
 from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
 from .readers.positions import Metres, match_metres
@@ -126,14 +127,15 @@ class Counting:
             **chosen,
         }
         mapped = _join_images([drive.images for drive in references])
-        dataset = dataset_of_files(name, mapped, queries.images, truth, unmatched, protocol)
+        dataset = dataset_of_files(name, mapped, queries.images, truth, protocol, unmatched=unmatched)
         return replace(dataset, recordings=tuple(drive.recording for drive in drives))
 
 
 def _match_frames(shown: Sequence[Images], names: list[str], tolerance: int) -> GroundTruth:
     """Return the ground truth of frames that show the same place under the same number; a note where counts differ."""
+    check_by_order(shown[:-1], names, "none", "dataset.", "leave one out, or give ground_truth=gps")
     n_places, n_queries = len(shown[0]), len(shown[-1])
-    truth = match_indices(shown[:-1], names, n_queries, tolerance)
+    truth = match_indices(len(names), n_places, n_queries, tolerance)
     if n_queries == n_places:
         return truth
     note = (

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, Images, MissingData, Paths
+from vprbench.api import BadInput, Dataset, Images, MissingData, Numbers, Paths, order_by_numbers
 
 from .readers.drives import Breaks, check_by_order, find_drives, keep_in_drive
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, make_ground_truth, unknown
+from .readers.file_dataset import OWN_FILES, FileOptions, GroundTruth, dataset_of_files, make_ground_truth, unknown
 from .readers.image_files import images_in
-from .readers.name_order import Numbers, by_numbers
 from .readers.positions import Positions, WithoutPosition, match_positions, require_metres
 from .readers.positives import load_arrays, read_matrix_file
 from .readers.traverses import match_numbers
@@ -36,17 +36,14 @@ def folders(
     ground_truth: str = "index",
     tolerance: int = 0,
     radius_metres: float = 25.0,
-    unmatched: Unmatched = "error",
     numbers: Numbers = "auto",
-    breaks: Breaks = "auto",
-    exif: Exif = "obey",
-    levels: str | None = None,
     without_position: WithoutPosition = "error",
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images of your own folders in natural order (2.jpg before 10.jpg), sub-folders included.
 
     `numbers` says whether numbers in names are decimal (0.25 before 0.5) or whole; by default the names tell.
-    `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`; tolerance ends where a drive ends.
+    Tolerance ends where a drive ends. Options that are not given are those of your own files (`OWN_FILES`).
 
     With `index` the i-th image of every reference folder (a traverse each) shows place i, and right for the i-th
     query are the places i - tolerance to i + tolerance. With `utm` every reference image is a place, names are
@@ -64,12 +61,14 @@ def folders(
         )
     found = [images_in(folder, "dataset.references", _ADVICE) for folder in references]
     found.append(images_in(queries, "dataset.queries", _ADVICE))
-    (*traverses, query_files), read, notes = by_numbers(found, numbers)
+    (*traverses, query_files), read, notes = order_by_numbers(found, numbers)
     map_files = Paths.joined(traverses)
+    options = OWN_FILES | options
+    breaks = options["breaks"]
     chosen: dict[str, float] = {}
     if ground_truth == "index":
         check_by_order(found, [*references, queries], breaks, "dataset.", _WAYS_OUT)
-        truth = match_by_order(traverses, references, map_files, query_files, tolerance, breaks)
+        truth = match_by_order(len(references), map_files, query_files, tolerance, breaks)
         chosen = {"tolerance_places": tolerance}
     elif ground_truth == "utm":
         chosen = {"radius_metres": radius_metres}
@@ -85,7 +84,6 @@ def folders(
         map_files,
         query_files,
         truth,
-        unmatched,
         {
             "protocol": "folders",
             "references": [Path(folder).resolve().name for folder in references],
@@ -95,43 +93,30 @@ def folders(
             **read,
         },
         notes,
-        breaks,
-        exif=exif,
-        levels=levels,
+        **options,
     )
 
 
 def match_by_order(
-    traverses: Sequence[Sized],
-    names: list[str],
+    n_traverses: int,
     references: Sequence[Path] | Images,
     queries: Sequence[Path] | Images,
     tolerance: int,
     breaks: Breaks,
 ) -> GroundTruth:
-    """Return the ground truth by index within the drive of each query; `references` are all traverses in turn."""
-    truth = match_indices(traverses, names, len(queries), tolerance)
+    """Return the ground truth by index within the drive of each query; traverses of one length follow in turn."""
+    truth = match_indices(n_traverses, len(references) // n_traverses, len(queries), tolerance)
     starts = find_drives(references, queries, breaks)
     drives = np.union1d(starts.find_place_starts(truth.places), starts.queries)
     return replace(truth, positives=keep_in_drive(truth.positives, drives))
 
 
-def match_indices(traverses: Sequence[Sized], names: list[str], n_queries: int, tolerance: int) -> GroundTruth:
-    """Return the place of every reference and the right places of every query, by their number in the traverse.
-
-    Raises BadInput for traverses of different lengths.
-    """
-    counts = {len(files) for files in traverses}
-    if len(counts) > 1:
-        listed = ", ".join(f"{name} {len(files)}" for name, files in zip(names, traverses, strict=True))
-        raise BadInput(
-            f"dataset.references hold different numbers of images ({listed}): with ground_truth=index the i-th image "
-            "of every folder has to show the same place"
-        )
-    places = np.arange(counts.pop())
+def match_indices(n_traverses: int, n_places: int, n_queries: int, tolerance: int) -> GroundTruth:
+    """Return the place of every reference and the right places of every query, by their number in the traverse."""
+    places = np.arange(n_places)
     positives = match_numbers(np.arange(n_queries), places, tolerance)
     lacking = f"no reference within {tolerance} places"
-    return GroundTruth(np.tile(places, len(traverses)), positives, lacking, by_order=True)
+    return GroundTruth(np.tile(places, n_traverses), positives, lacking, by_order=True)
 
 
 def _read_truth(

@@ -6,16 +6,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
-from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
+from vprbench.api import BadInput, Dataset, MissingData, Paths
 
 from .readers.csv_tables import read_csv
-from .readers.drives import Breaks
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, unknown
+from .readers.file_dataset import OWN_FILES, FileOptions, GroundTruth, dataset_of_files, unknown
 from .readers.image_files import find_listed
 from .readers.positions import MOST_METRES, Positions, WithoutPosition, match_positions
 from .readers.traverses import match_numbers
@@ -41,12 +40,9 @@ def image_list(
     root: str | None = None,
     tolerance: int = 0,
     radius_metres: float = 25.0,
-    unmatched: Unmatched = "error",
-    breaks: Breaks = "auto",
-    exif: Exif = "obey",
-    levels: str | None = None,
     ground_truth: Literal["columns", "none"] = "columns",
     without_position: WithoutPosition = "error",
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images that CSV files list, in the order of their rows.
 
@@ -59,8 +55,8 @@ def image_list(
     first name them, whole numbers too if any place is a word. By position every reference is a place, and right is what
     lies within `radius_metres`, the radius included; the distance between latitudes and longitudes is the straight line
     through the ellipsoid. With `ground_truth` none the column `image` is enough: every reference is a place, and no
-    answer is judged. `unmatched`, `breaks`, `exif` and `levels` are those of `dataset_of_files`, `without_position` is
-    that of `match_positions`.
+    answer is judged. `without_position` is that of `match_positions`. Options that are not given are those of your own
+    files (`OWN_FILES`).
 
     Raises MissingData for missing files, BadInput for tables that do not fit.
     """
@@ -89,7 +85,6 @@ def image_list(
         Paths.joined(table.images for table in map_tables),
         query_table.images,
         truth,
-        unmatched,
         {
             "protocol": "image_list",
             "references": [file.name for file in files[:-1]],
@@ -97,9 +92,7 @@ def image_list(
             "ground_truth": kind,
             **chosen,
         },
-        breaks=breaks,
-        exif=exif,
-        levels=levels,
+        **(OWN_FILES | options),
     )
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
-from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
+from vprbench.api import BadInput, Dataset, MissingData, Paths
 
 from .readers.csv_tables import find_encoding
-from .readers.drives import Breaks
-from .readers.file_dataset import Unmatched, dataset_of_files, unknown
+from .readers.file_dataset import OWN_FILES, FileOptions, dataset_of_files, unknown
 from .readers.frame_folders import find_root, list_folders
 from .readers.image_files import find_listed, images_in
 from .readers.positions import WithoutPosition
@@ -28,13 +27,10 @@ def utm_folders(
     database: str = "database",
     queries: str = "queries",
     radius_metres: float = 25.0,
-    unmatched: Unmatched = "keep",
-    breaks: Breaks = "auto",
-    exif: Exif = "obey",
-    levels: str | None = None,
     ground_truth: Literal["utm", "none"] = "utm",
     without_position: WithoutPosition = "error",
     zones: Zones = "error",
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images below `database` and `queries`, named @UTM_east@UTM_north@..., in the order of their paths.
 
@@ -42,9 +38,9 @@ def utm_folders(
     `<folder>_images_paths.txt` lies beside a folder, it alone says which images are used, and in which order. Every
     reference is a place; right is what lies within `radius_metres`, the radius included. Names of several UTM zones are
     an error, unless images of different zones never show one place (`zones` apart). With `ground_truth` none any name
-    is taken, and no answer is judged. `unmatched` (keep, as in gmberton/VPR-methods-evaluation), `breaks`, `exif` and
-    `levels` are those of `dataset_of_files`, `without_position` is that of `match_positions`. Raises MissingData for
-    what is missing, BadInput for names without a position and for a list that is no text.
+    is taken, and no answer is judged. `without_position` is that of `match_positions`. Options that are not given are
+    those of your own files (`OWN_FILES`), but `unmatched` is keep, as in gmberton/VPR-methods-evaluation. Raises
+    MissingData for what is missing, BadInput for names without a position and for a list that is no text.
     """
     layout = f"{_LAYOUT} so that <root>/images/{split} holds {database}/ and {queries}/"
     top = find_root(name, root, f"{database}/ and {queries}/", layout)
@@ -60,9 +56,8 @@ def utm_folders(
         protocol |= {"radius_metres": radius_metres, "zones": zones}
     else:
         truth = unknown(len(map_files), len(query_files))
-    return dataset_of_files(
-        name, map_files, query_files, truth, unmatched, protocol, breaks=breaks, exif=exif, levels=levels
-    )
+    options = OWN_FILES | FileOptions(unmatched="keep") | options
+    return dataset_of_files(name, map_files, query_files, truth, protocol, **options)
 
 
 def _find_split(top: Path, split: str, wanted: tuple[str, str], layout: str) -> tuple[str | None, Path]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
-from vprbench.api import BadInput, Dataset, Exif, MissingData
+from vprbench.api import BadInput, Dataset, MissingData, Numbers, order_by_numbers
 
 from .readers.csv_tables import read_csv
-from .readers.file_dataset import Unmatched, dataset_of_files, make_ground_truth, unknown
+from .readers.file_dataset import FileOptions, dataset_of_files, make_ground_truth, unknown
 from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
-from .readers.name_order import Numbers, by_numbers
 from .readers.pickled_lists import read_lists
 
 OutOfRange = Literal["error", "clip"]
@@ -31,11 +30,9 @@ def vpr_bench(
     root: str | None = None,
     ground_truth: str | None = None,
     out_of_range: OutOfRange = "error",
-    unmatched: Unmatched = "keep",
     default_root: str | None = None,
     numbers: Numbers = "whole",
-    exif: Exif = "ignore",
-    levels: str | None = None,
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images of `<root>/query` and `<root>/ref`, in natural order (2.jpg before 10.jpg), numbered from 0.
 
@@ -45,14 +42,13 @@ def vpr_bench(
     rows of a query and its right references, by number (an array of objects, pickled), or a CSV with the columns query
     and matching_refs, numbers with spaces between them. Numbers without an image are an error, or are left out with
     `clip`; how many queries that concerns is noted. With `ground_truth` none no file is read, and no answer is judged.
-    `default_root` (relative to the checkout) stands in for a `root` of None if it exists. `exif` and `levels` say how
-    files are decoded (`decoding_of`). Raises MissingData for what is missing, BadInput for a ground truth that does not
-    fit.
+    `default_root` (relative to the checkout) stands in for a `root` of None if it exists. Raises MissingData for what
+    is missing, BadInput for a ground truth that does not fit.
     """
     top = find_root(name, root, "query/ and ref/", _LAYOUT, default_root=default_root, parts=("query", "ref"))
     folders = (find_folder(top, part) for part in ("query", "ref"))
     found = [images_in(folder, "dataset.root", _LAYOUT, deep=False) for folder in folders]
-    (query_files, map_files), read, notes = by_numbers(found, numbers)
+    (query_files, map_files), read, notes = order_by_numbers(found, numbers)
     protocol: dict[str, Any] = {"protocol": "vpr_bench", "references": "ref", "queries": "query", **read}
     truth = unknown(len(map_files), len(query_files))
     if ground_truth != "none":
@@ -64,7 +60,7 @@ def vpr_bench(
         if corrected:
             count = f"{stored.name} names numbers without an image in {len(corrected)} of {len(rows)} rows"
             notes.append(f"{count} (first: query {corrected[0]}); they are left out (dataset.out_of_range=clip)")
-    return dataset_of_files(name, map_files, query_files, truth, unmatched, protocol, notes, exif=exif, levels=levels)
+    return dataset_of_files(name, map_files, query_files, truth, protocol, notes, **options)
 
 
 def check_rows(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Exif, MissingData, Paths
+from vprbench.api import BadInput, Dataset, MissingData, Paths
 
-from .readers.file_dataset import GroundTruth, Unmatched, dataset_of_files, make_ground_truth
+from .readers.file_dataset import FileOptions, GroundTruth, dataset_of_files, make_ground_truth
 from .readers.frame_folders import find_folder, find_root
 from .readers.image_files import images_in
 from .readers.positives import read_matrix_file
@@ -29,14 +29,13 @@ def gardens_point(
     images: int = 200,
     ground_truth: Strictness = "hard",
     tolerance: int | None = None,
-    exif: Exif = "ignore",
-    levels: str | None = None,
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the first `images` images of every traverse, in natural order; the i-th of each shows place i.
 
     `references` are the folders of the map (day_right if None). Right is the place of the same number; with `soft` also
-    the 8 to either side. A `tolerance` in places stands in for both. `exif` and `levels` say how files are decoded
-    (`decoding_of`). Raises MissingData for missing folders or images.
+    the 8 to either side. A `tolerance` in places stands in for both. Raises MissingData for missing folders or
+    images.
     """
     traverses = ["day_right"] if references is None else references
     check_references(traverses, "folder")
@@ -57,7 +56,6 @@ def gardens_point(
         map_files,
         _take_first(find_folder(top, query), images, layout),
         GroundTruth(np.tile(places, len(traverses)), right, "no reference", by_order=True),
-        "error",
         {
             "protocol": "vpr_tutorial",
             "references": traverses,
@@ -66,8 +64,7 @@ def gardens_point(
             "ground_truth": ground_truth if tolerance is None else "tolerance",
             "tolerance_places": reach,
         },
-        exif=exif,
-        levels=levels,
+        **(FileOptions(unmatched="error") | options),
     )
 
 
@@ -77,17 +74,14 @@ def with_matrix(
     reference: str = "",
     query: str = "",
     ground_truth: Strictness = "hard",
-    unmatched: Unmatched = "drop",
     source: str = "",
-    exif: Exif = "ignore",
-    levels: str | None = None,
+    **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return two folders of images, in the order of their paths, with the matrix GThard or GTsoft of GT.npz.
 
     Every reference is a place. The matrix is (n_references, n_queries), true if both show the same place. Queries
-    without any are left out (`drop`, as VPR_Tutorial's recall does), count as misses or are an error. `source` says in
-    messages where the data are to be had, `exif` and `levels` how files are decoded (`decoding_of`). Raises MissingData
-    for what is missing, BadInput for a matrix that does not fit.
+    without any are left out, as VPR_Tutorial's recall does, unless `unmatched` is given. `source` says in messages
+    where the data are to be had. Raises MissingData for what is missing, BadInput for a matrix that does not fit.
     """
     layout = f"{source} and set dataset.root to the folder that holds {reference}, {query} and GT.npz"
     top = find_root(name, root, f"{reference}, {query} and GT.npz", layout, parts=[reference, query])
@@ -102,10 +96,8 @@ def with_matrix(
         map_files,
         query_files,
         make_ground_truth(len(map_files), right, f"no right reference in {_MATRICES[ground_truth]}"),
-        unmatched,
         {"protocol": "vpr_tutorial", "reference": reference, "query": query, "ground_truth": ground_truth},
-        exif=exif,
-        levels=levels,
+        **(FileOptions(unmatched="drop") | options),
     )
 
 

@@ -10,7 +10,6 @@ from vprbench.api import Dataset, Images, data_folder
 
 from ..readers.frame_folders import find_root
 from ..readers.traverses import Evaluation, check_traverses, make_dataset, match_numbers, split_places, take_every
-from .calibration import STEREO_LEFT
 from .lists import RECORDINGS, count_steps_back, describe_list, published_timestamps, vprsnn_timestamps
 from .recordings import Recordings
 
@@ -65,7 +64,7 @@ def oxford_robotcar(
     wanted = {**files, query: [files[query][place] for place in parts.list_needed_queries()]}
     wanted |= {traverse: files[traverse] for traverse in mapped}  # the query may be one of them
     all_files = {traverse: [f"{stamp}.png" for stamp in rows] for traverse, rows in listed.items()}
-    recordings = Recordings(top, wanted, all_files, STEREO_LEFT, layout, calibration)
+    recordings = Recordings(top, wanted, all_files, layout, calibration)
 
     def frames(shown: Sequence[tuple[str, int]]) -> Images:
         return recordings.images([(traverse, files[traverse][place]) for traverse, place in shown])

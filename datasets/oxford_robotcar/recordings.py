@@ -8,16 +8,7 @@ from pathlib import Path
 from vprbench.api import BadInput, Decoding, FrameFolder, Image, Images, Paths, cached_frames
 
 from ..readers.frame_folders import check_folders, list_files
-from .calibration import (
-    VERSION,
-    Calibration,
-    Camera,
-    find_calibration,
-    read_calibration,
-    read_pixels,
-    read_raw,
-    undistort,
-)
+from .calibration import VERSION, Calibration, find_calibration, read_calibration, read_pixels, read_raw, undistort
 from .lists import RECORDINGS
 
 _PROCESSED = "demosaiced"  # where VPRTempo's process_orc.py writes, below a recording's folder
@@ -37,7 +28,6 @@ class Recordings:
         root: Path,
         wanted: Mapping[str, Sequence[str]],
         listed: Mapping[str, Sequence[str]],
-        camera: Camera,
         layout: str,
         calibration: str | None,
     ) -> None:
@@ -55,13 +45,13 @@ class Recordings:
         self._processed: dict[str, tuple[Images, dict[str, int]]] = {}  # of raw frames, with the number of each name
         self._made_with = b""
         raw = [traverse for traverse, folder in self._folders.items() if folder.path == _raw_folder(root, traverse)]
-        table = read_calibration(find_calibration(root, calibration), camera) if raw else None
+        table = read_calibration(find_calibration(root, calibration)) if raw else None
         for traverse, folder in self._folders.items():
             first = folder.path / folder.used[0]
             if table is None or traverse not in raw:
                 _check_processed(first)
                 continue
-            read_raw(first, camera)
+            read_raw(first)
             self._made_with = f"{table.sha256} {VERSION}".encode()
             numbers = {name: number for number, name in enumerate(dict.fromkeys(listed[traverse]))}
             self._processed[traverse] = _process_frames(folder.path, [*numbers], table), numbers
@@ -105,7 +95,7 @@ class Recordings:
 def _process_frames(folder: Path, names: Sequence[str], table: Calibration) -> Images:
     """Return the raw frames of a folder demosaiced and undistorted, each when it is first looked at."""
     files = Paths.below(folder, names)
-    made = Images(lambda i: undistort(read_raw(files[i], table.camera), table), files.names)
+    made = Images(lambda i: undistort(read_raw(files[i]), table), files.names)
     what = {"raw": str(folder.resolve()), "calibration": table.sha256, "version": VERSION}
     return cached_frames(made, what)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,19 @@ from .drives import NO_STARTS, Breaks, Starts, find_drives
 
 Unmatched = Literal["error", "keep", "drop"]  # of queries without a right place: keep counts them as misses
 Numbers = npt.NDArray[np.int64]
+
+
+class FileOptions(TypedDict, total=False):
+    """Options of every dataset of files; the protocol names each where it matters."""
+
+    unmatched: Unmatched
+    breaks: Breaks  # auto: another folder, or a position that jumps, begins another drive, where sequences end
+    exif: Exif  # obey or ignore the tag of a camera that was held on its side
+    levels: str | None  # LOW..HIGH, that become 0 and 255 where files are deeper than 8 bits; None: the files tell
+
+
+OWN_FILES: FileOptions = {"unmatched": "error", "breaks": "auto", "exif": "obey", "levels": None}
+PUBLISHED_FILES: FileOptions = {"unmatched": "keep", "breaks": "none", "exif": "ignore", "levels": None}
 
 
 @dataclass(frozen=True)
@@ -53,38 +66,31 @@ def dataset_of_files(
     references: Sequence[Path] | Images,
     queries: Sequence[Path] | Images,
     truth: GroundTruth,
-    unmatched: Unmatched,
     protocol: Mapping[str, Any],
     notes: Sequence[str] = (),
-    breaks: Breaks = "none",
-    exif: Exif = "obey",
-    levels: str | None = None,
+    **options: Unpack[FileOptions],
 ) -> Dataset:
-    """Return the dataset of these files or images.
-
-    Datasets of files share these options; the protocol names each where it matters.
+    """Return the dataset of these files or images; options that are not given are those of published files.
 
     Args:
         name: the name of the dataset.
         references: the images of the map.
         queries: the images that are queried.
         truth: the ground truth; of an unknown one all queries stay.
-        unmatched: queries without a right place are an error, count as misses (keep), or are left out (drop).
         protocol: the protocol of the dataset.
         notes: what a reader of results has to know.
-        breaks: auto: another folder, or a position that jumps, begins another drive, where sequences end; none: all is
-            one drive.
-        exif: obey or ignore the tag of a camera that was held on its side.
-        levels: LOW..HIGH, that become 0 and 255 where files are deeper than 8 bits; None: the files tell.
+        options: how files are read, and what becomes of queries without a right place.
 
     Raises:
         BadInput: queries without a right place are an error, or no others are left; levels that the files leave open.
     """
     files = Paths.joined(Paths.of(part) for part in (references, queries) if not isinstance(part, Images))
-    decoding, decoded = decoding_of(files, exif, levels, "dataset.")
+    chosen = PUBLISHED_FILES | options
+    unmatched = chosen["unmatched"]
+    decoding, decoded = decoding_of(files, chosen["exif"], chosen["levels"], "dataset.")
     references, queries = _choose(references, truth.references), _choose(queries, truth.queries)
     kept, lack = _choose_queries(truth, unmatched, queries)
-    starts = find_drives(references, queries, breaks, truth.jumps)
+    starts = find_drives(references, queries, chosen["breaks"], truth.jumps)
     place_starts = starts.find_place_starts(truth.places)
     place_gaps = _find_gaps(np.arange(len(references)) if truth.references is None else truth.references)
     query_gaps = _find_gaps(kept if truth.queries is None else truth.queries[kept])

@@ -13,24 +13,30 @@ from PIL import Image as PillowImage
 from scipy.ndimage import map_coordinates
 
 import vprbench.datasets.oxford_robotcar as robotcar
-from vprbench.datasets.oxford_robotcar import oxford_robotcar, recordings
-from vprbench.datasets.oxford_robotcar.calibration import Camera, read_calibration, undistort
+from vprbench.datasets.oxford_robotcar import calibration, oxford_robotcar, recordings
+from vprbench.datasets.oxford_robotcar.calibration import read_calibration, undistort
 from vprbench.datasets.oxford_robotcar.lists import RECORDINGS, find_ceiling, published_timestamps, vprsnn_timestamps
 from vprbench.errors import BadInput, MissingData
 from vprbench.plugins import registry
 from vprbench.runs.identity import compute_fingerprint
 
-SMALL = Camera(16, 12)
+WIDTH, HEIGHT = 16, 12  # of raw frames here
 TINY = {"places": 4, "first_query_place": 1, "query_places": 3}
 STAMPS = {traverse: published_timestamps(traverse)[:28:7] for traverse in RECORDINGS}
 LEVEL = {"sun": 10, "rain": 60, "dusk": 110}
 SITES = np.array([[1, 2], [0, 1]])  # GBRG: the channel that each of four neighbouring pixels records
-Y, X = np.mgrid[: SMALL.height, : SMALL.width].astype(np.float64)
+Y, X = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
 
 
 def uniform(traverse, place):
     """Return a frame of the colour of a place, (height, width, 3)."""
     return np.full((12, 16, 3), (LEVEL[traverse] + place, LEVEL[traverse] + 20 + place, 200 - place), np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _small_frames(monkeypatch):
+    monkeypatch.setattr(calibration, "WIDTH", WIDTH)
+    monkeypatch.setattr(calibration, "HEIGHT", HEIGHT)
 
 
 def write_table(folder, x, y):
@@ -45,14 +51,14 @@ def raw_folder(root, traverse):
 
 
 def noise():
-    return np.random.default_rng(0).integers(0, 256, (SMALL.height, SMALL.width), dtype=np.uint8)
+    return np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
 
 
 def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
     # Every channel inside the frame: the pixel itself, or else its two or four nearest neighbours that record it.
     raw = noise()
-    seen = undistort(raw, read_calibration(write_table(tmp_path, X, Y), SMALL))
-    for y, x, channel in np.ndindex(SMALL.height - 2, SMALL.width - 2, 3):
+    seen = undistort(raw, read_calibration(write_table(tmp_path, X, Y)))
+    for y, x, channel in np.ndindex(HEIGHT - 2, WIDTH - 2, 3):
         by_distance = {}
         for dy, dx in np.ndindex(3, 3):
             if SITES[(y + dy) % 2, (x + dx) % 2] == channel:
@@ -63,10 +69,8 @@ def test_noise_is_demosaiced_to_the_mean_of_the_nearest_pixels(tmp_path):
 
 def test_a_bent_table_is_followed_bilinearly_and_what_lies_outside_is_black(tmp_path):
     x, y = 1.1 * X - 0.7 - 0.02 * Y * Y, Y + 0.3 + 0.01 * X * X
-    straight, seen = (
-        undistort(noise(), read_calibration(write_table(tmp_path, *at), SMALL)) for at in ((X, Y), (x, y))
-    )
-    outside = (x < 0) | (y < 0) | (x > SMALL.width - 1) | (y > SMALL.height - 1)
+    straight, seen = (undistort(noise(), read_calibration(write_table(tmp_path, *at))) for at in ((X, Y), (x, y)))
+    outside = (x < 0) | (y < 0) | (x > WIDTH - 1) | (y > HEIGHT - 1)
     assert 0.01 < outside.mean() < 0.4
     assert not seen[outside].any()
     wanted = np.stack([map_coordinates(channel, [y, x], float, order=1) for channel in straight.transpose(2, 0, 1)], 2)
@@ -83,13 +87,12 @@ def test_a_table_that_is_none_is_refused(tmp_path, spoil, told):
     path = write_table(tmp_path, X, Y)
     path.write_bytes(spoil(np.frombuffer(path.read_bytes())).tobytes())
     with pytest.raises(BadInput, match=f"{path} .*{told}.*robotcar-dataset-sdk"):
-        read_calibration(path, SMALL)
+        read_calibration(path)
 
 
 @pytest.fixture
-def root(tmp_path, monkeypatch):
+def root(tmp_path):
     """Raw frames of all traverses, each of one colour, and a table of no distortion."""
-    monkeypatch.setattr(robotcar, "STEREO_LEFT", SMALL)
     for traverse in RECORDINGS:
         folder = raw_folder(tmp_path / "robotcar", traverse)
         folder.mkdir(parents=True)

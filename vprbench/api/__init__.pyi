@@ -12,7 +12,8 @@ from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
 from .dataset import FrameFolder as FrameFolder
 from .dataset import HeldOut as HeldOut
-from .decimal_names import find_decimals as find_decimals
+from .decimal_names import Numbers as Numbers
+from .decimal_names import order_by_numbers as order_by_numbers
 from .decoding import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .decoding import Decoding as Decoding
 from .decoding import Exif as Exif

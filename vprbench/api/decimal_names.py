@@ -7,10 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import PurePath
+from typing import Any, Literal
 
+import numpy as np
 from natsort import natsort_keygen, ns
 
-from vprbench.storage.paths import natural_keys
+from vprbench.errors import BadInput
+from vprbench.storage.paths import Paths, natural_keys
+
+Numbers = Literal["auto", "decimal", "whole"]
 
 _NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?(?:[eE][-+][0-9]{2,3}(?![0-9]))?")
 _DECIMAL = re.compile(r"[0-9]\.[0-9]|[0-9][eE][-+][0-9]{2}")
@@ -23,13 +28,8 @@ class Decimals:
     """The order of names by their decimal numbers, where whole numbers give another order."""
 
     order: list[int]  # the numbers of the names, sorted by folders and decimal numbers
-    likely: bool  # whether all names have one pattern, and no fraction is that of a counter, as in 1.9, 1.10
+    reading: str  # decimal if all names have one pattern, and no fraction is that of a counter (1.9, 1.10), else whole
     first: tuple[str, str]  # the first two names, in the order of decimals, which whole numbers put the other way
-
-    @property
-    def reading(self) -> str:
-        """How the numbers are read by default: decimal or whole."""
-        return "decimal" if self.likely else "whole"
 
 
 def find_decimals(names: Sequence[str], folders: Sequence[int] | None = None) -> Decimals | None:
@@ -54,4 +54,35 @@ def find_decimals(names: Sequence[str], folders: Sequence[int] | None = None) ->
     patterns = {_NUMBER.sub("0", _SIGN.sub("", stem) if is_signed else stem) for stem in stems}
     fractions = {found for stem in stems for found in re.findall(r"[0-9]\.([0-9]+)", stem)}
     is_counter = len({*map(len, fractions)}) > 1 and any(len(one) > 1 and one.endswith("0") for one in fractions)
-    return Decimals(order, len(patterns) == 1 and not is_counter, (names[differing[0]], names[differing[1]]))
+    reading = "decimal" if len(patterns) == 1 and not is_counter else "whole"
+    return Decimals(order, reading, (names[differing[0]], names[differing[1]]))
+
+
+def order_by_numbers(
+    traverses: Sequence[Paths], numbers: Numbers, option: str = "dataset.numbers"
+) -> tuple[list[Paths], dict[str, Any], list[str]]:
+    """Return traverses, which come in natural order, in the order of their numbers; and what protocol and notes say.
+
+    Under `auto` the numbers are decimal where all names of a traverse have one pattern and no fraction is a counter.
+    Nothing is said where both readings give one order. Raises BadInput, which names the `option`, if `auto` would read
+    some traverses in one way and some in the other.
+    """
+    found = [find_decimals(files.names, files.numbers.tolist()) for files in traverses]
+    first = {each.reading: each.first for each in found if each is not None}
+    if not first:
+        return [*traverses], {}, []
+    if numbers == "auto" and len(first) == 2:
+        (one, two), (three, four) = first["decimal"], first["whole"]
+        raise BadInput(
+            f"{option}=auto: the names of some traverses hold decimal numbers ({one} before {two}), those of others "
+            f"whole ones ({four} before {three}): pass {option}=decimal or {option}=whole, for all of them"
+        )
+    taken = next(iter(first)) if numbers == "auto" else numbers
+    one, two = next(iter(first.values()))
+    if taken == "whole":
+        note = f"numbers in names are read as whole ones, {two} before {one}; {option}=decimal: {one} first"
+        return [*traverses], {}, [note]
+    pairs = zip(traverses, found, strict=True)
+    ordered = [files if each is None else files[np.array(each.order)] for files, each in pairs]
+    note = f"numbers in names are read as decimals, {one} before {two}; {option}=whole: {two} first"
+    return ordered, {"numbers": "decimal"}, [note]

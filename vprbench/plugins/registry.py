@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any, Unpack, get_args, get_origin, get_type_hints
 
 from vprbench.api.dataset import Dataset, SharedFrames
 from vprbench.api.images import Images
@@ -65,7 +65,10 @@ def check_arguments(group: Group, config: Mapping[str, Any]) -> tuple[Callable[.
     plain_class = inspect.isclass(target) and not dataclasses.is_dataclass(target)
     try:
         hints = get_type_hints(target.__init__ if plain_class else target)
-        known = {name: hints.get(name, Any) for name in inspect.signature(target).parameters}
+        known: dict[str, Any] = {}
+        for name in inspect.signature(target).parameters:
+            hint = hints.get(name, Any)
+            known |= get_type_hints(get_args(hint)[0]) if get_origin(hint) is Unpack else {name: hint}
     except Exception as error:  # hints are evaluated, and may raise anything
         raise BadInput(f"{config['_target_']}: its type hints cannot be read ({error}): import their names") from error
     given = {name: value for name, value in take_arguments(config).items() if name != "_target_" and value != "???"}

@@ -14,6 +14,7 @@ from scipy.sparse import sparray, spmatrix
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, SharedFrames
+from vprbench.api.decimal_names import Numbers, order_by_numbers
 from vprbench.api.decoding import Exif, as_rgb, read_image
 from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
@@ -40,7 +41,7 @@ def dataset_of(
     name: str = "images",
     tolerance: NonNegativeInt = 0,
     positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | spmatrix | sparray | None = None,
-    numbers: Literal["auto", "decimal", "whole"] = "auto",
+    numbers: Numbers = "auto",
     breaks: Literal["auto", "none"] = "auto",
     exif: Exif = "obey",
     levels: str | None = None,
@@ -79,16 +80,16 @@ def dataset_of(
     folders = _reader("folders")
     given = _split_traverses(references)
     traverses = [*(_read_traverse(each, "references") for each in given), _read_traverse(queries, "queries")]
-    of_folders = [number for number, each in enumerate(traverses) if isinstance(each, Paths)]
-    ordered, read, notes = folders.by_numbers([traverses[number] for number in of_folders], numbers, "numbers")
-    for number, files in zip(of_folders, ordered, strict=True):
-        traverses[number] = files
+    of_folders = [each for each in traverses if isinstance(each, Paths)]
+    ordered, read, notes = order_by_numbers(of_folders, numbers, "numbers")
+    in_order = iter(ordered)
+    traverses = [next(in_order) if isinstance(each, Paths) else each for each in traverses]
     *several, query_images = traverses
     mapped = _join(several, exif, levels)
     names = [*(f"references[{number}]" for number in range(len(several))), "queries"]
     if by_order:
         folders.check_by_order(traverses, names, breaks, "", _REMEDY)
-        truth = folders.match_by_order(several, names[:-1], mapped, query_images, int(tolerance), breaks)
+        truth = folders.match_by_order(len(several), mapped, query_images, int(tolerance), breaks)
         read = {"tolerance_places": int(tolerance), **read}
     elif ground_truth == "none":
         truth = folders.unknown(len(mapped), len(query_images))
@@ -105,7 +106,7 @@ def dataset_of(
         **read,
     }
     dataset: Dataset = folders.dataset_of_files(
-        name, mapped, query_images, truth, "keep", protocol, notes, breaks, exif=exif, levels=levels
+        name, mapped, query_images, truth, protocol, notes, unmatched="keep", breaks=breaks, exif=exif, levels=levels
     )
     return dataset.with_shared_frames(shared_frames)
 
