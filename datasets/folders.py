@@ -9,7 +9,7 @@ from typing import Unpack
 
 import numpy as np
 
-from vprbench.api import BadInput, Dataset, Images, MissingData, Numbers, Paths, order_by_numbers
+from vprbench.api import BadInput, Dataset, Images, MissingData, NumberReading, Paths, order_by_numbers
 
 from .readers.drives import Breaks, check_by_order, find_drives, keep_in_drive
 from .readers.file_dataset import OWN_FILES, FileOptions, GroundTruth, dataset_of_files, make_ground_truth, unknown
@@ -36,7 +36,7 @@ def folders(
     ground_truth: str = "index",
     tolerance: int = 0,
     radius_metres: float = 25.0,
-    numbers: Numbers = "auto",
+    numbers: NumberReading = "auto",
     without_position: WithoutPosition = "error",
     **options: Unpack[FileOptions],
 ) -> Dataset:

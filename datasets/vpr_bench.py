@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
-from vprbench.api import BadInput, Dataset, MissingData, Numbers, order_by_numbers
+from vprbench.api import BadInput, Dataset, MissingData, NumberReading, order_by_numbers
 
 from .readers.csv_tables import read_csv
 from .readers.file_dataset import FileOptions, dataset_of_files, make_ground_truth, unknown
@@ -31,7 +31,7 @@ def vpr_bench(
     ground_truth: str | None = None,
     out_of_range: OutOfRange = "error",
     default_root: str | None = None,
-    numbers: Numbers = "whole",
+    numbers: NumberReading = "whole",
     **options: Unpack[FileOptions],
 ) -> Dataset:
     """Return the images of `<root>/query` and `<root>/ref`, in natural order (2.jpg before 10.jpg), numbered from 0.

@@ -93,7 +93,10 @@ def test_frames_are_made_once_and_read_in_any_order_and_other_frames_have_their_
     made, frames = [], np.random.default_rng(0).integers(0, 256, (2, 12, 4, 5, 3), np.uint8)  # of two seeds
 
     def shown(seed):
-        read = lambda number: made.append(seed) or frames[seed][number]  # noqa: E731 - as short as it is
+        def read(number):
+            made.append(seed)
+            return frames[seed][number]
+
         return cached_frames(Images(read, [str(i) for i in range(12)]), {"seed": seed})
 
     order, images = np.random.default_rng(1).permutation(12), shown(0)

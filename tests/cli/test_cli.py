@@ -105,6 +105,8 @@ def test_list_shows_methods_and_datasets_with_their_descriptions_and_check_count
         assert re.search(rf"^{entry.name} +{re.escape(entry.description)}$", printed, re.MULTILINE)
     assert main(["check", "method=sad"]) == 0
     assert "13 rules: 12 kept, 1 excepted, 0 broken" in capsys.readouterr().out
+    assert main(["check", "method=gabor_binary"]) == 0
+    assert "14 rules: " in capsys.readouterr().out  # and what it was tuned on
 
 
 PLACES = "dataset.places=12 dataset.first_query_place=0"

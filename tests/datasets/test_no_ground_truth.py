@@ -19,6 +19,7 @@ from vprbench.datasets.folders import folders
 from vprbench.datasets.image_list import image_list
 from vprbench.datasets.utm_folders import utm_folders
 from vprbench.datasets.vpr_bench import vpr_bench
+from vprbench.errors import BadInput
 from vprbench.report.report import Report
 
 PLACES, QUERIES = 7, 5
@@ -79,6 +80,8 @@ def test_a_comparison_ranks_nothing_and_draws_no_accuracy(drives, capsys, monkey
 def test_in_python_a_result_and_a_comparison_have_no_accuracy(drives):
     data = vprbench.dataset_of("map", "drive", **NONE)
     found = vprbench.compare(["sad", "hog"], data, metrics=["r100p"], timing="none")
+    with pytest.raises(BadInput, match="corruptions=blur-1"):
+        vprbench.compare(["no_such_method"], data, corruptions=["blur-1"])  # before anything is built
     result = found.results[0]
     frame = result.to_frame()
     assert (np.isnan(result.recall()), result.interval(), len(result.failures())) == (True, None, 0)

@@ -34,7 +34,11 @@ def children(monkeypatch):
 
     def ending(*answers):
         asked, left = [], iter(answers)
-        run = lambda text, *_: asked.append(RunRequest.from_json(text)) or next(left)  # noqa: E731 - as short as it is
+
+        def run(text, *_):
+            asked.append(RunRequest.from_json(text))
+            return next(left)
+
         monkeypatch.setattr(executors, "run_in_child", run)
         return asked
 

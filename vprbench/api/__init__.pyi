@@ -12,7 +12,7 @@ from .compiling import compiled as compiled
 from .dataset import Dataset as Dataset
 from .dataset import FrameFolder as FrameFolder
 from .dataset import HeldOut as HeldOut
-from .decimal_names import Numbers as Numbers
+from .decimal_names import NumberReading as NumberReading
 from .decimal_names import order_by_numbers as order_by_numbers
 from .decoding import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .decoding import Decoding as Decoding

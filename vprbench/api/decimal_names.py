@@ -15,7 +15,7 @@ from natsort import natsort_keygen, ns
 from vprbench.errors import BadInput
 from vprbench.storage.paths import Paths, natural_keys
 
-Numbers = Literal["auto", "decimal", "whole"]
+NumberReading = Literal["auto", "decimal", "whole"]
 
 _NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?(?:[eE][-+][0-9]{2,3}(?![0-9]))?")
 _DECIMAL = re.compile(r"[0-9]\.[0-9]|[0-9][eE][-+][0-9]{2}")
@@ -59,7 +59,7 @@ def find_decimals(names: Sequence[str], folders: Sequence[int] | None = None) ->
 
 
 def order_by_numbers(
-    traverses: Sequence[Paths], numbers: Numbers, option: str = "dataset.numbers"
+    traverses: Sequence[Paths], numbers: NumberReading, option: str = "dataset.numbers"
 ) -> tuple[list[Paths], dict[str, Any], list[str]]:
     """Return traverses, which come in natural order, in the order of their numbers; and what protocol and notes say.
 

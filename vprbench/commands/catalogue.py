@@ -124,7 +124,7 @@ def check(options: list[str]) -> int:
             results = [*conformance.check_dataset(request.dataset)]
         else:
             given = {name.removeprefix("method.") for name in names}
-            results = [*conformance.check_method(request.method, given)]
+            results = [*conformance.check_method({**request.method, "tuned_on": request.tuned_on or None}, given)]
     for result in results:
         print(escape_unprintable(str(result)))
     kept, excepted, broken = (sum(r.state == state for r in results) for state in ("kept", "excepted", "broken"))

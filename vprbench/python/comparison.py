@@ -17,7 +17,7 @@ from vprbench.report.plan import Plan
 from vprbench.report.report import Report
 from vprbench.report.robustness import measure_robustness
 from vprbench.report.selection import MethodRuns, group_runs_by_column, list_method_runs
-from vprbench.runs.corruption import Corruption, parse_corruptions
+from vprbench.runs.corruption import Corruption, parse_corruptions, require_right_places
 from vprbench.runs.experiment import Experiment, build_experiment, corrupt_experiment
 from vprbench.runs.record import Failure
 from vprbench.runs.request import spell_out_metrics
@@ -38,16 +38,16 @@ class Comparison(Report):
 
     def in_sequences(self, length: int, **options: Any) -> Comparison:
         """Return the comparison of the same runs by sequences, with the options of `Result.in_sequences`."""
-        return self.see(parse_views({"length": length, **options})[0])
+        return self.apply_view(parse_views({"length": length, **options})[0])
 
     def filter(self, **options: Any) -> Comparison:
         """Return the comparison of the same runs by a Bayes filter, with the options of `Result.filter`."""
-        return self.see(parse_views(None, options)[0])
+        return self.apply_view(parse_views(None, options)[0])
 
-    def see(self, view: Views) -> Comparison:
+    def apply_view(self, view: Views) -> Comparison:
         """Return the comparison of a view of the same runs."""
-        corrupted = {one: [result.seen(view) for result in of_one] for one, of_one in self.corrupted.items()}
-        results = [result.seen(view) for result in self.results]
+        corrupted = {one: [result.apply_view(view) for result in of_one] for one, of_one in self.corrupted.items()}
+        results = [result.apply_view(view) for result in self.results]
         return report_results(results, self.plan.metrics, self.left_out, corrupted)
 
     def __repr__(self) -> str:
@@ -122,6 +122,8 @@ def compare(
     if not len(methods) or isinstance(methods, str) or unusable or "seed" in options:
         raise BadInput(f"methods={methods}, seeds={seeds}: give a list of methods, and different seeds with seeds=")
     where, data = choose_dataset(dataset)
+    if corruptions:
+        require_right_places(data, corruptions)
     ready, left_out = _build_all(methods, where, data, {**options, "seed": numbers[0]})
     results: list[Result] = []
     corrupted: dict[Corruption, list[Result]] = {one: [] for one in parse_corruptions(corruptions)}
@@ -134,7 +136,7 @@ def compare(
             for one, of_one in corrupted.items():
                 of_one.append(finish_run(corrupt_experiment(replace(experiment, request=untimed), one.name)))
     comparison = report_results(results, metrics, left_out, corrupted)
-    return comparison.see(views[0]) if views else comparison
+    return comparison.apply_view(views[0]) if views else comparison
 
 
 def _build_all(

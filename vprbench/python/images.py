@@ -14,7 +14,7 @@ from scipy.sparse import sparray, spmatrix
 
 from vprbench.api.arrays import Image
 from vprbench.api.dataset import Dataset, SharedFrames
-from vprbench.api.decimal_names import Numbers, order_by_numbers
+from vprbench.api.decimal_names import NumberReading, order_by_numbers
 from vprbench.api.decoding import Exif, as_rgb, read_image
 from vprbench.api.images import Images
 from vprbench.api.levels import decoding_of
@@ -41,7 +41,7 @@ def dataset_of(
     name: str = "images",
     tolerance: NonNegativeInt = 0,
     positives: Sequence[int] | Sequence[Sequence[int]] | npt.NDArray[Any] | spmatrix | sparray | None = None,
-    numbers: Numbers = "auto",
+    numbers: NumberReading = "auto",
     breaks: Literal["auto", "none"] = "auto",
     exif: Exif = "obey",
     levels: str | None = None,

@@ -178,16 +178,16 @@ class Result:
         The options are those of `sequence`: window="centred", velocities=[0.8, 1, 1.2], contrast=10,
         incomplete="shortened", gaps="bridge". Raises BadInput for what does not fit, and for a run that kept no scores.
         """
-        return self.seen(parse_views({"length": length, **options})[0])
+        return self.apply_view(parse_views({"length": length, **options})[0])
 
     def filter(self, **options: Any) -> Result:
         """Return the answers of a Bayes filter over the places, a result like any other.
 
         The options are those of `filter`: back=-2, ahead=10, ratio=5, gaps="bridge". Raises what `in_sequences` does.
         """
-        return self.seen(parse_views(None, options)[0])
+        return self.apply_view(parse_views(None, options)[0])
 
-    def seen(self, view: Views) -> Result:
+    def apply_view(self, view: Views) -> Result:
         """Return the result of a view of its run; a warning is logged if the queries are in dictionary order."""
         if step := step_in_dictionary_order(self.queries):
             logger.warning(

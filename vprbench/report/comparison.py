@@ -23,7 +23,7 @@ from vprbench.report.run_options import CompareRequest
 from vprbench.report.selection import describe_condition, group_runs_by_column, list_method_runs
 from vprbench.report.table import formats
 from vprbench.report.table.make import choose_exit_code
-from vprbench.runs.corruption import corrupt_queries, parse_corruptions
+from vprbench.runs.corruption import corrupt_queries, parse_corruptions, require_right_places
 from vprbench.runs.identity import compute_fingerprint
 from vprbench.runs.predictions import require_depth
 from vprbench.runs.request import OPTIONS
@@ -162,8 +162,8 @@ def _list_compared_columns(
 
     Raises BadInput if there is no accuracy that a corruption could lower.
     """
-    if corruptions and dataset is not None and not any(map(len, dataset.positives)):
-        raise BadInput(f"corruptions={','.join(corruptions)}: no query of {dataset.name} has a right place to lose")
+    if corruptions and dataset is not None:
+        require_right_places(dataset, corruptions)
     for name in (None, *(one.name for one in parse_corruptions(corruptions))):
         condition = None
         if dataset is not None:

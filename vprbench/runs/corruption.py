@@ -156,3 +156,9 @@ def corrupt_frame(image: Image, wanted: Corruption, frame: str) -> Image:
     drawn = hashlib.sha256(f"{wanted.seed} {wanted.kind} {frame}".encode(errors="surrogateescape")).digest()
     kind = KINDS[wanted.kind]
     return kind.change(image, kind.amounts[wanted.strength - 1], np.random.default_rng([*drawn]))
+
+
+def require_right_places(dataset: Dataset, corruptions: Sequence[str]) -> None:
+    """Raise BadInput for a dataset without a right place: a corruption has no accuracy to lower."""
+    if not any(map(len, dataset.positives)):
+        raise BadInput(f"corruptions={','.join(corruptions)}: no query of {dataset.name} has a right place to lose")
